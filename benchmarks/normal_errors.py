@@ -1,17 +1,19 @@
-"""Where the error of normals in photographs comes from: each source added to the one before, on rendered presses.
+"""Where the error of normals in photographs comes from.
 
     python -m benchmarks.normal_errors
 
 A network that is trained on dents of the unit's sensor file judges rendered presses at the places of the photographed
-ones: without noise, with the camera's, with the coating's grain too, and solved faces whose contact circles are found
-in the picture as they are in photographs. What photographs have beyond that is the sensor file's.
+ones, with one source of error after the other: without noise, with the camera's, with the coating's grain too, and
+solved faces whose contact circles are found in the picture as they are in photographs. It then judges the photographed
+presses, and these without a part of their error: with the centres moved, and without the misfit (photographed less
+rendered change of colour) that a polynomial in the slopes describes. Light from wrong directions leaves such a misfit,
+marks on the coating and noise do not.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from benchmarks import mini_units, photographs, real_grain, real_units
 from benchmarks.mini_units import MiniUnit
@@ -26,6 +28,7 @@ from tacgen.sensor.imperfections import Grain
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
+MISFITS = ("mean", "linear", "quadratic")  # parts of the misfit, by the order of the polynomial
 HEADS = (
     "rendered, no noise: .1f",
     "and the camera's noise: .1f",
@@ -35,16 +38,15 @@ HEADS = (
     "photographs: .1f",
     "photographs, centres shifted: .1f",
     "their shift, rms [px]: .1f",
-    "pixel noise rendered: .1f",
-    "of photographs: .1f",
+    *(f"less the {part} misfit: .1f" for part in MISFITS),
 )
 NOTE = (
     "Mean error of normals inside the contact circles [deg], by a network trained on dents of the file that was fitted"
     " to the unit. Grain: as measured (below). Circles found: faces solved at `draft`, as deep as the photographed"
     " presses, whose circles are then found in the picture; DIGIT's are not found so. Centres shifted: each circle is"
     " moved to where the ball's normals fit the network's best, which removes errors of labels, and of lights where"
-    f" they look alike. Pixel noise: rms of what a Gaussian of {normal_net.SMOOTH:g} px removes from the change of"
-    " colour [counts]."
+    " they look alike. Less the misfit: each photographed press without what a polynomial of this order in the slopes,"
+    " fitted to photographed less rendered change inside its circle, describes: smooth errors of the light."
 )
 
 
@@ -84,12 +86,24 @@ def sources(sensor: LitSensor, unit: MiniUnit) -> list[float | None]:
         grainy = seen([compared.rendered(p, f, random) for p, f in pairs])
         solved = [_found(compared, p, f, h, random) for (p, f), h in zip(pairs, unit.hidden, strict=True)]
         found = seen(solved)
-    last = grainy or noisy
     errors = [None if one is None else _off(net, one) for one in (clean, noisy, grainy, found)]
     moved = None if found is None else np.mean([shifted(net, one)[0] for one in found])
     better = [shifted(net, one) for one in real]
     shift = np.sqrt(np.mean([np.square(away).sum() for _, away in better]))
-    return [*errors, moved, _off(net, real), np.mean([e for e, _ in better]), shift, _noise(last), _noise(real)]
+    less = [
+        _off(net, [without(*pair, order) for pair in zip(real, clean, strict=True)]) for order in range(len(MISFITS))
+    ]
+    return [*errors, moved, _off(net, real), np.mean([e for e, _ in better]), shift, *less]
+
+
+def without(real: PictureOfPress, made: PictureOfPress, order: int) -> PictureOfPress:
+    """A photographed press without the polynomial in the slopes that fits photographed less rendered change [counts]
+    inside the contact."""
+    x, y = (real.slopes - real.flat).T
+    table = np.column_stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)])
+    off, change = (real.change - made.change)[real.where], real.change.copy()
+    change[real.where] -= table @ np.linalg.lstsq(table, off, rcond=None)[0]
+    return replace(real, change=change)
 
 
 def shifted(net: NormalNet, press: PictureOfPress) -> tuple[float, Array]:
@@ -118,13 +132,6 @@ def _found(
 
 def _off(net: NormalNet, presses: Sequence[PictureOfPress]) -> float:
     return float(np.mean([one.off(net.normals(one.features)) for one in presses]))
-
-
-def _noise(presses: Sequence[PictureOfPress]) -> float:
-    """What smoothing removes from the change [counts], rms over colours and presses."""
-    smooth = normal_net.SMOOTH
-    parts = [(one.change - gaussian_filter(one.change, (smooth, smooth, 0)))[one.where] for one in presses]
-    return float(np.sqrt(np.mean([np.square(part).mean() for part in parts])))
 
 
 if __name__ == "__main__":

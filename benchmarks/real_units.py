@@ -43,22 +43,14 @@ class Samples(NamedTuple):
     slopes: Array  # x and y of the unit normals (n, 2)
 
     @classmethod
-    def of(cls, press: PictureOfPress, most: int | None = None) -> "Samples":
-        """At most so many pixels of a press, at random."""
-        some = np.random.default_rng(0).permutation(len(press.slopes))[:most]
-        return cls(press.features[some], press.slopes[some])
+    def of(cls, press: PictureOfPress) -> "Samples":
+        """All pixels of a press."""
+        return cls(press.features, press.slopes)
 
     @property
     def steepest(self) -> float:
         """Largest slope: hardly less than the contact radius over the ball's."""
         return float(np.linalg.norm(self.slopes, axis=1).max())
-
-
-def trained(seen: Sequence[Samples]) -> NormalNet:
-    """A network trained on presses."""
-    return NormalNet.trained(
-        np.concatenate([one.features for one in seen]), np.concatenate([one.slopes for one in seen])
-    )
 
 
 def off(net: NormalNet, presses: Iterable[Samples]) -> float:
@@ -69,7 +61,7 @@ def off(net: NormalNet, presses: Iterable[Samples]) -> float:
 
 def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
     """Dents of a unit, up to a contact radius over the ball's."""
-    return [Samples.of(one, likeness.PIXELS) for one in Comparison(sensor).dents(deepest, count, seed)]
+    return [Samples.of(one) for one in Comparison(sensor).dents(deepest, count, seed)]
 
 
 def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, float]:
@@ -87,7 +79,7 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, fl
 def left_out(presses: Sequence[Samples]) -> float:
     """Error of networks trained on a unit's own photographs, each part of them left out once [deg]."""
     parts = [presses[k::PARTS] for k in range(PARTS)]
-    nets = [trained([one for j, part in enumerate(parts) if j != k for one in part]) for k in range(PARTS)]
+    nets = [NormalNet.trained([one for j, part in enumerate(parts) if j != k for one in part]) for k in range(PARTS)]
     each = [off(net, [one]) for net, part in zip(nets, parts, strict=True) for one in part]
     return float(np.mean(each))
 
@@ -106,7 +98,7 @@ def table(say: Say) -> Table:
         seen = [(unit, one) for unit, made in dents for one in made if one.steepest <= deepest]
         others, every = [one for unit, one in seen if unit != file], [one for _, one in seen]
         cells: list[Cell] = [name, len(presses), flat]
-        cells += [off(trained(seen), presses) for seen in (others, every, own)]
+        cells += [off(NormalNet.trained(seen), presses) for seen in (others, every, own)]
         cells.append(left_out(presses))
         found.append(cells)
         say(f"{name}: {', '.join(f'{cell:.1f}' for cell in cells[2:] if isinstance(cell, float))}")

@@ -132,13 +132,16 @@ def batched(scenes: dict[int, Scene], told: argparse.Namespace) -> Report:
     cuda, keys = usable[0].startswith("cuda"), list(scenes)
     engine.advance = out.watch(engine.advance, cuda)  # type: ignore[assignment]
     start, sizes = time.perf_counter(), {"slots": told.slots, "least": told.least, "memory": memory}
-    for number, found in pool.solved(scenes.values(), usable[0], dtype=dtype, use=out.use, **sizes):
-        out.forces[keys[number]] = forces_of(found.states)
-        if found.why is not None:
-            out.why[str(found.why)[:70]] += 1
-        if time.perf_counter() - start > told.seconds:
-            print("  out of time")
-            break
+    try:
+        for number, found in pool.solved(scenes.values(), usable[0], dtype=dtype, use=out.use, **sizes):
+            out.forces[keys[number]] = forces_of(found.states)
+            if found.why is not None:
+                out.why[str(found.why)[:70]] += 1
+            if time.perf_counter() - start > told.seconds:
+                print("  out of time")
+                break
+    except RuntimeError as error:  # as in `run`, the CPU engine has the scenes that are left
+        out.why[f"a process stopped: {str(error).splitlines()[0][:90]}"] += len(scenes) - len(out.forces)
     out.elapsed, out.memory = time.perf_counter() - start, torch.cuda.max_memory_reserved() if cuda else 0.0
     return out
 

@@ -1,10 +1,13 @@
-"""Scenes solved many at once on a GPU, chunk after chunk, while worker processes label, draw and write those before.
+"""Scenes solved many at once on a GPU, while worker processes label, draw and write those that are solved.
 
-A solution reaches its worker through a file in the dataset's folder. A scene for which the batch engine lacks
-something, or which it does not solve, is solved by its worker as without a GPU, and its bundle says why.
+A solution reaches its worker through a file in the dataset's folder, as soon as it is there. A scene for which the
+batch engine lacks something, or which it does not solve, is solved by its worker as without a GPU, and its bundle says
+why.
 """
 
 import os
+import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -13,7 +16,8 @@ from importlib.metadata import version
 from itertools import cycle
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Event
+from typing import TYPE_CHECKING, Any
 
 from tacgen import __version__
 from tacgen.batch import solution_file
@@ -30,9 +34,10 @@ if TYPE_CHECKING:
     from tacgen.tensor_engine.engine import Solved
     from tacgen.tensor_engine.pool import Planned
 
-CHUNK = 1024  # scenes that are solved before the first of them is written: some 3 MB of solution each
-EACH = 4  # processes at most that solve on one GPU: more of them have fewer scenes in a call
+CHUNK = 1024  # scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
+EACH = 8  # processes at most that solve on one GPU: more of them have fewer scenes in a call
 MEMORY = 0.85  # part of a GPU's memory that they share
+LOOK_S = 0.1  # between looks for new solutions
 FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
 SOLVED = f"{__name__}:run_scene"
@@ -62,24 +67,79 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         def run(
             rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
         ) -> list[SceneResult]:
-            def solve(k: int) -> list[str]:
-                wanted = _unfinished(rows[k : k + CHUNK], folder, overwrite)
-                return _solve_all(wanted, folder, devices, solving, count, mapped)
+            solutions = _Solutions(_unfinished(rows, folder, overwrite), folder, on_event)
 
-            (folder / FOLDER).mkdir(exist_ok=True)
-            results: list[SceneResult] = []
+            def solve(some: Sequence[Row]) -> list[str]:
+                return _solve_all(some, folder, devices, solving, count, mapped)
+
+            solved = ahead.submit(solutions.make, solve)
+
+            def ready(row: Row) -> bool:
+                return solutions.has(row) or (solved.done() and solved.result() is None)
+
             try:
-                chunk = ahead.submit(solve, 0)
-                for k in range(0, len(rows), CHUNK):
-                    for note in chunk.result():
-                        on_event({"event": "note", "scene": "", "note": note})
-                    chunk = ahead.submit(solve, k + CHUNK)
-                    results += pool.run(rows[k : k + CHUNK], folder, overwrite=overwrite, on_event=on_event)
+                return pool.run(rows, folder, overwrite=overwrite, on_event=solutions.watch, ready=ready)
             finally:
-                _clear(folder, rows)
-            return results
+                solutions.close()
 
         yield run
+
+
+class _Solutions:
+    """Solutions of rows on their way to the workers, as files that are there until their scenes have ended."""
+
+    def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent) -> None:
+        self._rows, self._folder, self._on_event = rows, folder, on_event
+        self._places = {row.name: _place(folder, row) for row in rows}
+        self._ended, self._notes, self._closed = set[str](), deque[str](), Event()
+        self._there, self._seen = set[str](), 0.0  # names of solutions when they were last looked for
+        self._clear()  # what a killed run has left may be another recipe's
+        (folder / FOLDER).mkdir(exist_ok=True)
+
+    def make(self, solve: Callable[[Sequence[Row]], list[str]]) -> None:
+        """Write them, chunk by chunk, by a function that returns notes on the run."""
+        for k in range(0, len(self._rows), CHUNK):
+            while k - len(self._ended) > CHUNK and not self._closed.wait(1.0):
+                pass
+            if self._closed.is_set():
+                return
+            some = self._rows[k : k + CHUNK]
+            self._notes += solve(some)
+            for row in some:
+                if not self._places[row.name].exists() and row.name not in self._ended:
+                    why = "solved by the CPU engine: the batch engine stopped before this scene"
+                    solution_file.write(self._places[row.name], SolvedScene("", why=why))
+
+    def has(self, row: Row) -> bool:
+        """Whether a row's solution is there, or none is needed."""
+        if (now := time.monotonic()) > self._seen + LOOK_S:
+            self._there, self._seen = {path.stem for path in (self._folder / FOLDER).glob("*.npz")}, now
+        return row.name not in self._places or self._places[row.name].stem in self._there
+
+    def watch(self, event: dict[str, Any]) -> None:
+        """Pass on an event and the notes before it; the solution of a scene that has ended is deleted."""
+        if event["event"] == "scene" and (place := self._places.get(event["scene"])):
+            self._ended.add(event["scene"])
+            place.unlink(missing_ok=True)
+        self._tell()
+        self._on_event(event)
+
+    def close(self) -> None:
+        """No more solutions are needed."""
+        self._closed.set()
+        self._tell()
+        self._clear()
+
+    def _tell(self) -> None:
+        while self._notes:
+            self._on_event({"event": "note", "scene": "", "note": self._notes.popleft()})
+
+    def _clear(self) -> None:
+        """Delete the solutions of these rows; other shards may still need theirs."""
+        for place in self._places.values():
+            place.unlink(missing_ok=True)
+        with suppress(OSError):  # not empty, or not there
+            os.rmdir(self._folder / FOLDER)
 
 
 def solvers(workers: int, devices: int) -> int:
@@ -154,10 +214,6 @@ def _solve_all(
         notes += [note for part in begun for note in part.result()]
     except BrokenProcessPool:
         notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
-    for row in rows:
-        if not _place(folder, row).exists():
-            why = "solved by the CPU engine: the batch engine stopped before this scene"
-            solution_file.write(_place(folder, row), SolvedScene("", why=why))
     return notes
 
 
@@ -210,11 +266,3 @@ def _solutions(
 
 def _place(folder: Path, row: Row) -> Path:
     return folder / FOLDER / f"{row.name}.npz"
-
-
-def _clear(folder: Path, rows: Sequence[Row]) -> None:
-    """Delete the solutions of these rows; other shards may still need theirs."""
-    for row in rows:
-        _place(folder, row).unlink(missing_ok=True)
-    with suppress(OSError):  # not empty
-        os.rmdir(folder / FOLDER)

@@ -56,9 +56,11 @@ class Pool:
         overwrite: bool = False,
         on_event: OnEvent = lambda event: None,
         enough: Callable[[], bool] = lambda: False,
+        ready: Callable[[Row], bool] = lambda row: True,
     ) -> list[SceneResult]:
         """Make the scenes of all rows, with results in the same order. `on_event` is called as in `batch.run`. As soon
-        as `enough` is true it returns the results that there are; the others' workers end with the pool.
+        as `enough` is true it returns the results that there are; the others' workers end with the pool. A scene is
+        begun once its row is `ready`.
 
         A scene whose worker was lost is tried once more. After that, or if it cannot be made, its status is `failed`.
 
@@ -66,7 +68,7 @@ class Pool:
             OSError: the disk is full or read-only, so that all other scenes would fail too.
             UserError: workers do not start.
         """
-        batch = _Batch(rows, folder, on_event, in_order=self.size == 1)
+        batch = _Batch(rows, folder, on_event, ready, in_order=self.size == 1)
         while len(batch.results) < len(rows) and not enough():
             self._assign_jobs(batch, overwrite)
             for worker, kind, what in self._messages():
@@ -89,7 +91,9 @@ class Pool:
         while len(self.workers) < min(self.size, busy + len(batch.waiting)):
             self.workers.append(Worker(self.task))
         for worker in self.workers:
-            if worker.ready and worker.job is None and (job := batch.next()):
+            if worker.ready and worker.job is None:
+                if (job := batch.next()) is None:
+                    break
                 worker.give(job, batch.folder, overwrite)
 
     def _messages(self) -> list[tuple[Worker, str, Any]]:
@@ -131,16 +135,25 @@ def compiler_of(row: Row, folder: Path) -> Worker | None:
 class _Batch:
     """The waiting jobs and the results of a call of `Pool.run`."""
 
-    def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent, *, in_order: bool) -> None:
+    def __init__(
+        self,
+        rows: Sequence[Row],
+        folder: Path,
+        on_event: OnEvent,
+        ready: Callable[[Row], bool] = lambda row: True,
+        *,
+        in_order: bool,
+    ) -> None:
         self.waiting = deque(Job(rows, place) for place in range(len(rows)))
         self.results: dict[int, SceneResult] = {}  # by place among the rows
-        self.folder, self.on_event = folder, on_event
+        self.folder, self.on_event, self.ready = folder, on_event, ready
         self.order, self.window = SceneOrder(), 1 if in_order else WINDOW
 
     def next(self) -> Job | None:
         """Take the job that should be begun first, if one may be begun now."""
         now = time.monotonic()
-        jobs = [job for job in islice(self.waiting, self.window) if job.not_before <= now]
+        ready = (job for job in self.waiting if self.ready(job.row))
+        jobs = [job for job in islice(ready, self.window) if job.not_before <= now]
         if not jobs:
             return None
         job = jobs[self.order.longest([job.row for job in jobs])]

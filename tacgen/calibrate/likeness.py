@@ -1,7 +1,7 @@
 """Comparison of rendered with photographed presses: the change of colour per slope of the ball's surface, and the error
 of normals in photographs by a network that was trained on rendered pictures (network: Wang et al. 2021)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,6 @@ WEAK = 15.0  # changes below this are too noisy for a ratio [counts per slope]
 AROUND = 1.7  # contact radii within which changes are correlated
 DENTS = 192  # rendered dents that a network is trained on
 BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # radii [mm], contact radius over that, at most [mm]
-PIXELS = 300  # pixels of each dent
 SPP = 16  # samples a pixel
 
 
@@ -138,7 +137,7 @@ class Comparison:
 
     def net(self, presses: Sequence[PhotographedPress]) -> NormalNet:
         """A network trained on rendered dents with the camera's noise, at least as deep as presses."""
-        return learned(list(self.dents(self.deepest(presses), DENTS)))
+        return learned(self.dents(self.deepest(presses), DENTS))
 
     def deepest(self, presses: Sequence[PhotographedPress]) -> float:
         """Contact radius over the ball's that dents reach which stand for presses."""
@@ -194,12 +193,9 @@ class Comparison:
         return self._view.look(face).normal[:, :2].reshape(*self._view.shape, 2)
 
 
-def learned(seen: Sequence[PictureOfPress]) -> NormalNet:
-    """A network trained inside the contact circles of presses, with the same number of pixels of each."""
-    random = np.random.default_rng(0)
-    some = [random.permutation(len(one.slopes))[: max(PIXELS, normal_net.MOST // len(seen))] for one in seen]
-    features = np.concatenate([one.features[k] for one, k in zip(seen, some, strict=True)])
-    return NormalNet.trained(features, np.concatenate([one.slopes[k] for one, k in zip(seen, some, strict=True)]))
+def learned(seen: Iterable[PictureOfPress]) -> NormalNet:
+    """A network trained inside the contact circles of presses."""
+    return NormalNet.trained([(one.features, one.slopes) for one in seen])
 
 
 def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float) -> Array:

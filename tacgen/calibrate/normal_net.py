@@ -1,11 +1,15 @@
 """The photometric-stereo network that users of such sensors train: change of colour and pixel position -> normal.
 
 Three hidden layers of 64 rectified units, as in the SDK of the Mini's maker (gelsightinc/gsrobotics, RGB2NormNet), for
-pictures smoothed by a Gaussian; fitted by L-BFGS to least squares with a little weight decay. Small enough for NumPy,
-and the same bytes for the same samples. Layers, decay, smoothing and number of dents were chosen by the error on
-rendered dents with the camera's noise that the network had not seen (docs/OPTICS.md).
+pictures smoothed by a Gaussian; fitted by L-BFGS to least squares with weight decay. Small enough for NumPy, and the
+same bytes for the same samples. One network alone depends on its start, so the normals are the mean of several, each
+with a start and samples of its own (bagging, Breiman 1996). The decay is inversely proportional to the number of
+presses: pixels of one press are alike, so presses, not pixels, are what a prior of the weights is weighed against.
+Noise is added to the colours in training, as a unit is never quite like its file; it makes the network smoother (Bishop
+1995). All settings were chosen on rendered dents that the network had not seen (docs/OPTICS.md).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,52 +21,68 @@ Array = np.ndarray
 HIDDEN = (64, 64, 64)  # units of the hidden layers
 SMOOTH = 2.0  # standard deviation of the Gaussian by which a change is smoothed [px]
 COUNTS = 40.0  # change of colour that is scaled to 1 at the input [counts]
-DECAY = 1e-5  # factor of the squared weights in the loss
+DECAY = 0.01  # factor of the squared weights in the loss, times the number of presses
+NOISE = 3.0  # standard deviation of the noise on smoothed colours in training [counts]
 STEPS = 300  # iterations of L-BFGS at most
-MOST = 8000  # training samples at most; chosen at random from more
+MEMBERS = 4  # networks whose outputs are averaged
+MOST = 2000  # training samples of each, about
+
+Layers = tuple[tuple[Array, Array], ...]
 
 
 @dataclass(frozen=True)
 class NormalNet:
-    """Weights and biases of the layers."""
+    """Weights and biases of the layers of each member."""
 
-    layers: tuple[tuple[Array, Array], ...]
+    members: tuple[Layers, ...]
 
     @classmethod
-    def trained(cls, features: Array, normals: Array) -> "NormalNet":
-        """Train on samples: features (n, 5), see `features`, and x and y of unit normals (n, 2)."""
-        random = np.random.default_rng(0)
-        some = random.permutation(len(features))[:MOST]
-        x, wanted = (np.asarray(part[some], np.float32) for part in (features, normals))
-        sizes = (features.shape[1], *HIDDEN, 2)
-        start = [random.standard_normal((a + 1, b)) / np.sqrt(a) for a, b in pairwise(sizes)]
-        cuts = np.cumsum([w.size for w in start])[:-1]
-
-        def weights(flat: Array) -> list[Array]:
-            return [part.reshape(w.shape) for part, w in zip(np.split(flat, cuts), start, strict=True)]
-
-        def loss(flat: Array) -> tuple[float, Array]:
-            tables, values = weights(flat.astype(np.float32)), [x]
-            for w in tables[:-1]:
-                values.append(np.maximum(values[-1] @ w[:-1] + w[-1], 0))
-            off = values[-1] @ tables[-1][:-1] + tables[-1][-1] - wanted
-            back, slope = 2 * off / len(off), []
-            for value, w in zip(values[::-1], tables[::-1], strict=True):
-                slope.append(np.vstack([value.T @ back, back.sum(axis=0)]).ravel())
-                back = (back @ w[:-1].T) * (value > 0)
-            squares = float((off.astype(float) ** 2).sum())
-            return squares / len(off) + DECAY * flat @ flat, np.concatenate(slope[::-1]) + 2 * DECAY * flat
-
-        flat = np.concatenate([w.ravel() for w in start])
-        best = weights(minimize(loss, flat, jac=True, method="L-BFGS-B", options={"maxiter": STEPS}).x)
-        return cls(tuple((w[:-1], w[-1]) for w in best))
+    def trained(cls, presses: Sequence[tuple[Array, Array]]) -> "NormalNet":
+        """Train on presses: features (n, 5) of each, see `features`, and x and y of unit normals (n, 2)."""
+        return cls(tuple(_member(presses, np.random.default_rng(seed)) for seed in range(MEMBERS)))
 
     def normals(self, features: Array) -> Array:
         """x and y of the unit normals (n, 2) of samples (n, 5)."""
-        for weight, bias in self.layers[:-1]:
-            features = np.maximum(features @ weight + bias, 0)
-        weight, bias = self.layers[-1]
-        return np.asarray(features @ weight + bias)
+        return np.asarray(np.mean([_output(layers, features) for layers in self.members], axis=0))
+
+
+def _output(layers: Layers, values: Array) -> Array:
+    for weight, bias in layers[:-1]:
+        values = np.maximum(values @ weight + bias, 0)
+    weight, bias = layers[-1]
+    return np.asarray(values @ weight + bias)
+
+
+def _member(presses: Sequence[tuple[Array, Array]], random: np.random.Generator) -> Layers:
+    """One network, trained on the same number of pixels of each press."""
+    each, decay = -(-MOST // len(presses)), DECAY / len(presses)
+    chosen = [
+        [part[some] for part in press] for press in presses for some in [random.permutation(len(press[0]))[:each]]
+    ]
+    x, wanted = (np.concatenate(part).astype(np.float32) for part in zip(*chosen, strict=True))
+    x[:, :3] += random.normal(0, NOISE / COUNTS, (len(x), 3))
+    sizes = (x.shape[1], *HIDDEN, 2)
+    start = [random.standard_normal((a + 1, b)) / np.sqrt(a) for a, b in pairwise(sizes)]
+    cuts = np.cumsum([w.size for w in start])[:-1]
+
+    def weights(flat: Array) -> list[Array]:
+        return [part.reshape(w.shape) for part, w in zip(np.split(flat, cuts), start, strict=True)]
+
+    def loss(flat: Array) -> tuple[float, Array]:
+        tables, values = weights(flat.astype(np.float32)), [x]
+        for w in tables[:-1]:
+            values.append(np.maximum(values[-1] @ w[:-1] + w[-1], 0))
+        off = values[-1] @ tables[-1][:-1] + tables[-1][-1] - wanted
+        back, slope = 2 * off / len(off), []
+        for value, w in zip(values[::-1], tables[::-1], strict=True):
+            slope.append(np.vstack([value.T @ back, back.sum(axis=0)]).ravel())
+            back = (back @ w[:-1].T) * (value > 0)
+        squares = float((off.astype(float) ** 2).sum())
+        return squares / len(off) + decay * flat @ flat, np.concatenate(slope[::-1]) + 2 * decay * flat
+
+    flat = np.concatenate([w.ravel() for w in start])
+    best = weights(minimize(loss, flat, jac=True, method="L-BFGS-B", options={"maxiter": STEPS}).x)
+    return tuple((w[:-1], w[-1]) for w in best)
 
 
 def features(change: Array, where: Array) -> Array:

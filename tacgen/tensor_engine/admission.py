@@ -74,7 +74,7 @@ def _figures(b: Batch, s: Tensor) -> tuple[Tensor]:
 
 def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces) -> tuple[Tensor, Tensor]:
     """Residual at the free nodes and |indenter + base|, both (s,) over the contact force [-]."""
-    inner = b.gradient(s, x)
+    inner = b.gradient(s, x)[1]
     outer = at_nodes(contact, -forces.force, x.shape[1])
     free = b.free[:, None]
     residual = torch.linalg.norm(((inner + outer) * free).flatten(1), dim=1)

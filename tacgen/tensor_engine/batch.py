@@ -20,7 +20,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import RATE_GUESS, Leg
 from tacgen.mechanics.state import History, State
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.elements import Hexes, HexPoints, Topology
+from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
@@ -31,8 +31,8 @@ from tacgen.tensor_engine.shapes import Shapes
 Array = np.ndarray
 FLOAT = torch.float64
 GROW = 48  # sizes of WIDE are multiples of it
-CLASSES = (72, 162)  # nodes of contacts that are solved together
-LARGER = 64  # of more nodes, multiples of it
+CLASS = 162  # nodes of the smallest class of contacts that are solved together; each is twice as large as the last
+AT_FIRST = 3 * CLASS  # unknowns for which there is room from the start: where rows grow, recordings are lost
 KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
 # and their reduction to a unknowns (see reduction.Reduction)
@@ -56,7 +56,7 @@ class Sizes(NamedTuple):
 
 def width_class(nodes: int) -> int:
     """The size of contacts with which one of so many nodes is solved."""
-    return next((c for c in CLASSES if nodes <= c), -(-nodes // LARGER) * LARGER)
+    return CLASS << max(0, (nodes - 1) // CLASS).bit_length()
 
 
 class Factors(Protocol):
@@ -222,7 +222,7 @@ class Batch:
             topology, problems[0].options, factors, [Course(*each) for each in zip(problems, places, strict=True)],
             nodes, there, used.to(device), free.to(device), hexes, folding,
             Shapes.of([c.shape for c in contacts], FLOAT, device), number(contacts[0].faces.N),
-            number(problems[0].elastic[0].elements.shape), number(areas), dhat,
+            number(SHAPE), number(areas), dhat,
             problems[0].options.slip * dhat, number([p.edge for p in problems]),
             number([c.shape.reach for c in contacts]), number([p.friction for p in problems]), can.to(device),
             Replays(nodes.device),
@@ -235,6 +235,7 @@ class Batch:
         B, n, _ = self.X.shape
         _, f, q = self.areas.shape
         m, F = int(self.patch.sum()), self.hexes.weights.shape
+        first = min(3 * m, AT_FIRST) if self.replays.on else 0
 
         def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
@@ -253,7 +254,7 @@ class Batch:
             h_rotation=zeros(3, 3), h_position=zeros(3), rotation=zeros(3, 3), position=zeros(3),
             J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
             nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1,
-            c_x=zeros(m, 3), **{name: self._blank(name, B, [0] * len(axes)) for name, axes in WIDE.items()},
+            c_x=zeros(m, 3), **{name: self._blank(name, B, [first] * len(axes)) for name, axes in WIDE.items()},
         )  # fmt: skip
 
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
@@ -269,7 +270,8 @@ class Batch:
         """The rows of one of WIDE, at least as wide as `sizes`."""
         store = getattr(self.t, name)
         if any(new > old for new, old in zip(sizes, store.shape[1:], strict=True)):
-            wider = [max(-(-new // GROW) * GROW, old) for new, old in zip(sizes, store.shape[1:], strict=True)]
+            most, each = 3 * self.t.nodes.shape[1], zip(sizes, store.shape[1:], strict=True)
+            wider = [min(-(-int(1.3 * new) // GROW) * GROW, most) if new > old else old for new, old in each]
             old, store = store, self._blank(name, len(store), wider)
             store[(slice(None), *map(slice, old.shape[1:]))] = old
             setattr(self.t, name, store)
@@ -285,7 +287,7 @@ class Batch:
             kept, fewest = min(-(-kept // KEPT) * KEPT, 3 * nodes), 3 * fewest // KEPT * KEPT // 3
         for name, axes in WIDE.items():
             self._widen(name, [3 * nodes if axis == "k" else kept for axis in axes])
-        if self.factors.reserve(nodes):
+        if self.factors.reserve(self.t.S.shape[1] // 3):
             self.replays.forget()
         return Sizes(nodes, kept, fewest)
 
@@ -297,9 +299,13 @@ class Batch:
             row[(slice(None), *map(slice, value.shape[1:]))] = value
             store[s] = row
 
+    def wide(self, name: str, *sizes: int) -> Tensor:
+        """All rows of one of WIDE, as wide as `sizes`."""
+        return self._widen(name, sizes)[(slice(None), *map(slice, sizes))]
+
     def read(self, name: str, s: Tensor, *sizes: int) -> Tensor:
         """Rows of one of WIDE, as wide as `sizes`."""
-        return self._widen(name, sizes)[(s, *map(slice, sizes))]
+        return self.wide(name, *sizes)[s]
 
     def indent(self, slot: int, shape: Shape) -> None:
         """Another indenter for one scene, in the place of the last where there is room."""
@@ -317,19 +323,19 @@ class Batch:
         """Numbers of slots as an index."""
         return index_of(rows, self.X.device)
 
-    def bulk(self, s: Tensor, x: Tensor) -> tuple[Hexes, HexPoints, Folding, Tensor]:
-        """The cells of scenes s, and at x (s, n, 3) their state, the barrier against inversion and the energy (s,)."""
-        hexes = self.hexes.rows(s)
-        at = hexes.evaluate(x)
-        folding = self.folding.rows(s).evaluate(x, self.t.folds[s])
-        return hexes, at, folding, at.energy + folding.energy
+    def folded(self, s: Tensor, x: Tensor) -> Folding:
+        """The barrier against inversion in scenes s at x (s, n, 3)."""
+        return self.folding.rows(s).evaluate(x, self.t.folds[s])
 
-    def gradient(self, s: Tensor, x: Tensor) -> Tensor:
-        """Gradient of the energy (s, n, 3) [N]."""
-        hexes, at, folding, _ = self.bulk(s, x)
-        out = hexes.forces(at)
-        folding.add_forces(out)
-        return out
+    def energy(self, s: Tensor, x: Tensor) -> Tensor:
+        """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""
+        return self.hexes.rows(s).energy(x) + self.folded(s, x).energy
+
+    def gradient(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """J (s, e, q), and the gradient of the energy (s, n, 3) [N]."""
+        J, out = self.hexes.rows(s).gradient(x)
+        self.folded(s, x).add_forces(out)
+        return J, out
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""

@@ -19,13 +19,9 @@ from tacgen.mechanics.phases import Outcome
 from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Course, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
-from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, at_nodes, shrunk
-from tacgen.tensor_engine.elements import determinant
+from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.load_step import cover, covers, take
-from tacgen.tensor_engine.replay import rare, recording
-
-RECORDED = 0.25  # the shortest part of a step that a recorded line search tries; shorter ones are rare
 
 
 def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
@@ -84,9 +80,9 @@ def load(b: Batch, s: Tensor) -> list[Outcome]:
 
 def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[()]:
     t = b.t
-    hexes, at, folding, _ = b.bulk(s, t.x[s])
-    g = hexes.mixed_forces(at, t.J[s], t.taken[s])
-    folding.add_forces(g)
+    x = t.x[s]
+    g = b.hexes.rows(s).mixed_forces(x, t.J[s], t.taken[s])
+    b.folded(s, x).add_forces(g)
     y, load = b.factors.forward(s, g, sizes.nodes)
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))
@@ -105,21 +101,29 @@ def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
 
 def contact(b: Batch, s: Tensor) -> list[Outcome]:
     """One step of the contact."""
-    t, rows = b.t, listed(s)
+    rows = listed(s)
     sizes, courses = b.sizes(s), [b.courses[row] for row in rows]
     valid = [float(course.reduced == course.inner_damping) for course in courses]
     acted, count = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), s, valid)
     if stale := [k for k, more in enumerate(acted.tolist()) if more]:
         many = count.tolist()
         reduce(b, b.slots([rows[k] for k in stale]), [many[k] for k in stale])
+    status = _stepped(b, s, False)
+    if shorter := [row for row in rows if status[row] == SEARCHING]:
+        status |= _stepped(b, b.slots(shorter), True)
+    ends = {RUNNING: Outcome.more, UNSTABLE: Outcome.unstable}
+    return [ends.get(status[row], Outcome.ended) for row in rows]
+
+
+def _stepped(b: Batch, s: Tensor, search: bool) -> dict[int, int]:
+    """The contact after a step, in full or with a line search; how each scene's stands."""
     sizes, damped = b.sizes(s), damping(b, s)
-    key = "contact", sizes.nodes, sizes.kept, bool(damped)
-    x, offset, steps, length, drift, gap, status = b.replays(key, partial(_contact, b, sizes), s, *damped)
-    t.put(
+    key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), search), partial(_contact, b, sizes, search)
+    x, offset, steps, length, drift, gap, status = b.replays(key, work, s, *damped)
+    b.t.put(
         s, c_x=x, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
     )  # fmt: skip
-    ends = {RUNNING: Outcome.more, UNSTABLE: Outcome.unstable}
-    return [ends.get(status, Outcome.ended) for status in status.tolist()]
+    return dict(zip(listed(s), status.tolist(), strict=True))
 
 
 def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
@@ -135,11 +139,11 @@ def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ..
     return acted(b, sizes, s, now.contact.conn, facets, valid)
 
 
-def _contact(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
+def _contact(b: Batch, sizes: Sizes, search: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
     """The contact's tensors after a step, in the order of contact_newton.Iterates."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now = _iterates(b, sizes, s)
-    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact)
+    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact, search)
     x = b.t.c_x[s]
     x[:, : sizes.nodes] = after.x
     return x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
@@ -168,18 +172,25 @@ def damp(b: Batch, s: Tensor) -> list[Outcome]:
 
 def search(b: Batch, s: Tensor) -> list[Outcome]:
     """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen."""
-    sizes, damped = b.sizes(s), damping(b, s)
-    key = "search", sizes.nodes, bool(damped), b.hexes.laws.two_invariants
-    x, there, inner, part = b.replays(key, partial(_search, b, sizes), s, *damped)
-    b.t.put(s, stepped=x, stepped_energy=there, c_x=inner)
-    taken = part.tolist()
-    for row, fraction in zip(listed(s), taken, strict=True):
-        b.courses[row].part = fraction
-    return [Outcome.ready if fraction > 0 else Outcome.higher for fraction in taken]
+    part, rows, laws = 1.0, listed(s), b.hexes.laws.two_invariants
+    for row in rows:
+        b.courses[row].part = 0.0
+    while rows and part >= SHORTEST:  # nearly all take the whole step
+        some = b.slots(rows)
+        sizes, damped = b.sizes(some), damping(b, some)
+        key, work = ("search", sizes.nodes, bool(damped), laws), partial(_search, b, sizes)
+        x, there, inner, lower = b.replays(key, work, some, [part] * len(rows), *damped)
+        b.t.put(some, stepped=x, stepped_energy=there, c_x=inner)
+        found = dict(zip(rows, lower.tolist(), strict=True))
+        for row in (row for row, fine in found.items() if fine):
+            b.courses[row].part = part
+        rows, part = [row for row, fine in found.items() if not fine], part / 2
+    return [Outcome.ready if b.courses[row].part > 0 else Outcome.higher for row in listed(s)]
 
 
-def _search(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
-    """Nodes (s, n, 3) and energies after the step, condensed positions (s, most, 3), and the part (s,) of it taken."""
+def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
+    """Nodes (s, n, 3) and energies after a part (s,) of the step, condensed positions (s, most, 3) after it, if they
+    are lower, else as before, and whether they are (s,)."""
     t, bulk, near = b.t, condensed(b, sizes, s, *damping), b.near(s, b.t.c_offset[s], sizes.nodes)
     x, c_x = t.x[s], t.c_x[s]
     inner = c_x[:, : sizes.nodes]
@@ -189,27 +200,18 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor
     before = near.merit(bulk.start, forces)
     whole = near.merit_at(forces, forces) - before
     # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
-    condensed_gradient = (bulk.S @ u[..., None]).squeeze(-1) + bulk.load
+    condensed_gradient = bulk.times(u) + bulk.load
     model = ((t.g[s] * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + whole
     energy = t.energy[s]
     rounding = step_end(b, s) * t.h_least[s] + ROUNDING * energy.abs()
-    part, there, fraction = torch.zeros_like(energy), energy, 1.0
-    while fraction >= SHORTEST:
-        value = b.bulk(s, x + fraction * p)[3]
-        of_contact = whole
-        if fraction < 1:
-            of_contact = near.merit(bulk.start + fraction * (inner - bulk.start), forces) - before
-        total = value - energy + of_contact
-        share = total / torch.minimum(fraction * model, -rounding)
-        share = torch.where(total.abs() <= rounding, 1.0, share)
-        good = (share >= MIN_GAIN) & (part == 0)
-        part, there = torch.where(good, fraction, part), torch.where(good, value, there)
-        fraction /= 2
-        if (not recording() or fraction < RECORDED) and not rare(part == 0):
-            break
-    some = part[:, None, None]
-    left = torch.where(some < 1, bulk.start + some * (inner - bulk.start), inner)
-    return x + some * p, there, torch.cat([left, c_x[:, sizes.nodes :]], 1), part
+    fraction = part[:, None, None]
+    there = x + fraction * p
+    value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * (inner - bulk.start), inner)
+    total = value - energy + torch.where(part < 1, near.merit(left, forces) - before, whole)
+    share = total / torch.minimum(part * model, -rounding)
+    lower = torch.where(total.abs() <= rounding, 1.0, share) >= MIN_GAIN
+    left = torch.where(lower[:, None, None], left, inner)
+    return there, value, torch.cat([left, c_x[:, sizes.nodes :]], 1), lower
 
 
 def step_end(b: Batch, s: Tensor) -> Tensor:
@@ -232,13 +234,9 @@ def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Tensor]:
     t, options = b.t, b.options
     x, there = t.x[s], t.stepped[s]
     moved = (there - x).abs().flatten(1).amax(1)
-    hexes, after, folding, _ = b.bulk(s, there)
-    J = after.J
+    J, gradient = b.gradient(s, there)
     if options.mixed_pressure:
-        F = hexes.deformation(x)
-        J = hexes.predicted(F, determinant(F), after.F, t.taken[s])
-    gradient = hexes.forces(after)
-    folding.add_forces(gradient)
+        J = b.hexes.rows(s).predicted(x, there, t.taken[s])
     near = b.near(s, t.c_offset[s], sizes.nodes)
     forces = near.evaluate(t.c_x[s, : sizes.nodes])
     unbalanced = _unbalanced(b, t.nodes[s, : sizes.nodes], s, gradient, at_nodes(near, forces.force, sizes.nodes))
@@ -292,7 +290,7 @@ def fail(b: Batch, row: int, x: Tensor, steps: int) -> None:
     """No equilibrium in so many steps, which ended at x (n, 3)."""
     s = b.slots([row])
     hexes = b.hexes.rows(s)
-    J = hexes.evaluate(x[None]).J[hexes.weights > 0]
+    J = hexes.evaluate(x[None]).J[hexes.own[1] > 0]
     least = float(J.min())
     failure = Failure.squeezed if least < SQUEEZED else Failure.newton
     b.courses[row].failure = NotConverged(failure, steps=steps, least_J=least)

@@ -10,6 +10,7 @@ from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import Quadratics
 from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.reduction import Reduction, reduced
 
 Damping = tuple[list[float], ...]  # of each scene of a call; empty if no scene is damped
@@ -27,8 +28,7 @@ def damping(b: Batch, s: Tensor) -> Damping:
     if new:
         some = b.slots(new)
         sizes = b.sizes(some)
-        hexes, at, _, _ = b.bulk(some, b.X[some])
-        K = hexes.tangents(at, dtype=b.factors.dtype)
+        K = b.hexes.rows(some).tangents(b.X[some], dtype=b.factors.dtype)[1]
         b.keep(some, S_0=b.factors.schur(K, b.t.nodes[some, : sizes.nodes], sizes.fewest)[1])
         for row in new:
             courses[row].rested = True
@@ -38,8 +38,16 @@ def damping(b: Batch, s: Tensor) -> Damping:
 
 def condensed(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Quadratics:
     """The condensed bulk of each scene with its damping (s,), if one is damped; not reduced."""
-    S = _damped(b, sizes, s, *damping).to(b.t.x.dtype)
-    return Quadratics(b.at_condensed(s, b.t.x[s], sizes.nodes), S, b.read("load", s, sizes.unknowns))
+    k = sizes.unknowns
+    S, at_rest = b.wide("S", k, k), b.wide("S_0", k, k)
+
+    def times(u: Tensor) -> Tensor:
+        out = slot_times(S, s, u)
+        for factor in damping:
+            out = torch.where(factor[:, None] > 0, out + factor[:, None] * slot_times(at_rest, s, u), out)
+        return out
+
+    return Quadratics(b.at_condensed(s, b.t.x[s], sizes.nodes), times, b.read("load", s, k))
 
 
 def _damped(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Tensor:
@@ -88,8 +96,8 @@ def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:
     """The reductions that are kept, in the sizes of a call."""
     k, a = sizes.unknowns, sizes.kept
     kept, place = b.read("kept", s, a), b.read("place", s, k)
-    parts = b.read("G", s, k, k), b.read("X", s, k, a), b.read("K", s, a, a)
-    return Reduction(torch.where(kept < 0, k, kept), torch.where(place < 0, a, place), *parts)
+    parts = b.wide("G", k, k), b.wide("X", k, a), b.read("K", s, a, a)
+    return Reduction(torch.where(kept < 0, k, kept), torch.where(place < 0, a, place), *parts, s)
 
 
 def acted(b: Batch, sizes: Sizes, s: Tensor, conn: Tensor, facets: Tensor, kept: Tensor) -> tuple[Tensor, ...]:

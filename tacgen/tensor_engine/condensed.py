@@ -9,7 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine.multifrontal import Multifrontal, invert_factor, slot_times, slot_transposed_times
+from tacgen.tensor_engine.multifrontal import Multifrontal, invert_factor
+from tacgen.tensor_engine.products import slot_times
 
 
 class _Patch(NamedTuple):
@@ -84,7 +85,7 @@ class Condensed:
         b, outer = self._of_patch(y), self._outer[slots, :width]
         solved = slot_times(self._inverse, slots, b.gather(1, self._order[slots]) * self._first(slots))
         load = torch.nn.functional.pad(b, (0, 1)).gather(1, outer)
-        load = load - slot_transposed_times(self._coupling, slots, solved)[:, :width]
+        load = load - slot_times(self._coupling[:, :, :width], slots, solved, True)
         load = torch.where(outer < self._k, load, 0.0)
         y[:, self.solver.patch] = solved.view(len(y), -1, 3)
         return y, load
@@ -93,9 +94,8 @@ class Condensed:
         """The step p (s, n, 3) of all nodes for u (s, 3m) of the condensed unknowns and the gradient g whose forward
         substitution is y: p_c = u, p_o = -K_oo^-1 (g_o + K_oc u); 0 at bonded and void nodes without a gradient."""
         solved, u = self._of_patch(y.to(self.solver.dtype)), u.to(self.solver.dtype)
-        all_u = torch.nn.functional.pad(u, (0, self._coupling.shape[2] - u.shape[1]))
-        q = solved + slot_times(self._coupling, slots, all_u)
-        inner = -slot_transposed_times(self._inverse, slots, q)
+        q = solved + slot_times(self._coupling[:, :, : u.shape[1]], slots, u)
+        inner = -slot_times(self._inverse, slots, q, True)
         order = torch.where(self._first(slots) > 0, self._order[slots], self._k)
         x = self._zeros(len(u), self._k + 1)
         x.scatter_(1, order, inner).scatter_(1, self._outer[slots, : u.shape[1]], u)

@@ -4,6 +4,7 @@ Each scene takes the step that mechanics.contact_newton would take: the coupled 
 else along it, or along the symmetric one, by Armijo's rule.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,24 +17,25 @@ from tacgen.tensor_engine.contact import Contacts, Forces
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 
-RUNNING, CONVERGED, STOPPED, UNSTABLE = range(4)  # see mechanics.contact_newton.ContactStatus
+RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(5)  # see mechanics.contact_newton.ContactStatus
 
 
 @dataclass(frozen=True)
 class Quadratics:
     """The condensed bulk of each scene: u . load + u . S u / 2 of displacements u (s, k) from `start` (s, m, 3), with
-    S (s, k, k) [N/mm] and load (s, k) [N]; k = 3 m, padded with a unit matrix. reduction: of S to what contact acts on.
+    the product `times` of S (s, k, k) [N/mm] and u, and load (s, k) [N]; k = 3 m, padded with a unit matrix.
+    reduction: of S to what contact acts on.
     """
 
     start: Tensor
-    S: Tensor
+    times: Callable[[Tensor], Tensor]
     load: Tensor
     reduction: Reduction | None = None
 
     def at(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Energy (s,) and gradient (s, m, 3) at positions x (s, m, 3)."""
         u = (x - self.start).flatten(1)
-        g = _times(self.S, u) + self.load
+        g = self.times(u) + self.load
         return (u * (g + self.load)).sum(1) / 2, g.view_as(x)
 
     def residual(self, contact: Contacts, forces: Forces, x: Tensor) -> Tensor:
@@ -47,10 +49,6 @@ class Quadratics:
         K = with_points(K, self.reduction.place, contact.conn, contact.N.to(K.dtype), D.to(K.dtype))
         p, good = self.reduction.solve(K, -g.flatten(1), symmetric)
         return p.view_as(g), good
-
-
-def _times(S: Tensor, u: Tensor) -> Tensor:
-    return (S @ u[..., None]).squeeze(-1)
 
 
 def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
@@ -86,11 +84,14 @@ def shrunk(now: Iterates) -> tuple[Contacts, Tensor]:
     return now.contact.shrunk(torch.where(near, now.gap, now.contact.offset)), drift
 
 
-def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int) -> Iterates:
+def step(
+    bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int, search: bool
+) -> Iterates:
     """One step of each scene towards the equilibrium of bulk, barrier and friction, with indenters shrunk by the mean
     gap; see mechanics.contact_newton.contact_step.
 
-    bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm].
+    bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm]. search: whether scenes that cannot take the
+    whole coupled step, which are few, search along it; otherwise they stay as they are, but SEARCHING.
     """
     x, length, (contact, drift) = now.x, now.length, shrunk(now)
     forces = contact.evaluate(x)
@@ -101,11 +102,11 @@ def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: T
     there = x + p
     felt = contact.evaluate(there)
     full = full & (_norm(bulk.residual(contact, felt, there)) <= FULL_STEP * _norm(g))
-    fraction, trying = torch.ones_like(length), going & ~full
-    if recording() or bool(trying.any()):
-        some, other = _downhill(bulk, contact, forces, x, g, p, coupled, trying, reach)
-        fraction, p = torch.where(trying, some, fraction), torch.where(trying[:, None, None], other, p)
-        there = x + fraction[:, None, None] * p
+    fraction, waits = torch.ones_like(length), going & ~full
+    if search:
+        some, other = _downhill(bulk, contact, forces, x, g, p, coupled, waits, reach)
+        fraction, p = torch.where(waits, some, fraction), torch.where(waits[:, None, None], other, p)
+        there, waits = x + fraction[:, None, None] * p, torch.zeros_like(waits)
         felt = contact.evaluate(there)
     longest = p.abs().flatten(1).amax(1)
     stuck = fraction == 0
@@ -118,10 +119,11 @@ def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: T
     stalled = ~done & (fraction * longest < SHORTEST * xtol)
     status = torch.where(done | (stalled & small), CONVERGED, torch.where(stalled, STOPPED, RUNNING))
     status = torch.where(going, torch.where(stuck | gone, UNSTABLE, status), STOPPED)
-    moved = going & ~stuck
+    moved, old = going & ~stuck & ~waits, now.contact.offset
     return Iterates(
-        torch.where(moved[:, None, None], there, x), contact, now.steps + going,
-        torch.where(moved & ~gone, longest, length), drift, gap, status,
+        torch.where(moved[:, None, None], there, x), contact.shrunk(torch.where(waits, old, contact.offset)),
+        now.steps + (going & ~waits), torch.where(moved & ~gone, longest, length),
+        torch.where(waits, now.drift, drift), torch.where(waits, now.gap, gap), torch.where(waits, SEARCHING, status),
     )  # fmt: skip
 
 
@@ -154,7 +156,7 @@ def _downhill(
 
     def decreasing(p: Tensor, least: float, allowed: Tensor) -> Tensor:
         slope, v = (g * p).sum((1, 2)), p.flatten(1)
-        first, second = (gradient * p).sum((1, 2)), (v * _times(bulk.S, v)).sum(1)
+        first, second = (gradient * p).sum((1, 2)), (v * bulk.times(v)).sum(1)
 
         fractions = halves(contact.max_step(forces.gap, p, reach), least)
         merit = energy[:, None] + fractions * first[:, None] + fractions**2 * second[:, None] / 2

@@ -5,6 +5,7 @@ positions x (s, n, 3), F (s, e, q, 3, 3). Sums over the cells of a node are in a
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -19,8 +20,9 @@ from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
 from tacgen.tensor_engine.products import outer, product
 
 Array = np.ndarray
-MOST = 2**14  # matrices whose eigenvalues are found at once: cuSOLVER fails above 2^15
-GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))[1]  # dN (q, 8, 3)
+MOST = 2**11  # matrices whose eigenvalues are found at once: cuSOLVER needs some 300 kB for each, and fails above 2^15
+# N (q, 8) and dN (q, 8, 3) at the integration points
+SHAPE, GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
 
 
 def cofactor(F: Tensor) -> Tensor:
@@ -88,12 +90,14 @@ class HexPoints:
 
 @dataclass(frozen=True)
 class Hexes:
-    """Cells of each scene: B (s, e, 8, q, 3) dN/dX [1/mm], weights (s, e, q) [mm^3], 0 for void cells, and laws."""
+    """Cells of each scene: B (capacity, e, 8, q, 3) dN/dX [1/mm], weights (capacity, e, q) [mm^3], 0 for void cells,
+    and laws; slots (s,): the scenes of a call, all if None."""
 
     topology: Topology
     B: Tensor
     weights: Tensor
     laws: Laws
+    slots: Tensor | None = None
 
     @classmethod
     def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Laws) -> "Hexes":
@@ -103,63 +107,107 @@ class Hexes:
 
     def rows(self, slots: Tensor) -> "Hexes":
         """Only some scenes (r,)."""
-        return replace(self, B=self.B[slots], weights=self.weights[slots], laws=self.laws.rows(slots))
+        return replace(self, slots=slots)
+
+    @cached_property
+    def numbers(self) -> Tensor:
+        """The slots (s,), of all scenes too."""
+        return torch.arange(len(self.B), device=self.B.device) if self.slots is None else self.slots
+
+    @cached_property
+    def own(self) -> tuple[Tensor, Tensor, Tensor]:
+        """B, weights and numbers of the laws of the scenes of a call."""
+        if self.slots is None:
+            return self.B, self.weights, self.laws.values
+        return self.B[self.slots], self.weights[self.slots], self.laws.values[:, self.slots]
 
     def deformation(self, x: Tensor) -> Tensor:
         """F (s, e, q, 3, 3) at positions x (s, n, 3)."""
-        s, e, q = self.weights.shape
-        F = x[:, self.topology.conn].mT @ self.B.flatten(-2)
+        B, (s, e, q) = self.own[0], self.own[1].shape
+        F = x[:, self.topology.conn].mT @ B.flatten(-2)
         return F.reshape(s, e, 3, q, 3).movedim(3, 2)
 
     def evaluate(self, x: Tensor) -> HexPoints:
         """Invariants, energy and derivatives; if J <= 0 anywhere the energy is inf and the rest is undefined."""
         F = self.deformation(x)
-        I1, J, energy, dilatation, *both = _state(F, self.weights, self.laws.values)
+        I1, J, energy, dilatation, *both = _state(F, *self.own[1:])
         return HexPoints(F, I1, J, energy, both[:3], both[3:], dilatation)
 
-    def forces(self, at: HexPoints, first: list[Tensor] | None = None) -> Tensor:
-        """dE/dx (s, n, 3) [N]; `first` instead of that of the point, if given."""
-        w1, w2, w3 = at.first if first is None else first
-        return self.spread(_piola(at.F, at.I1, w1, w2, w3, self.laws.two_invariants))
+    def energy(self, x: Tensor) -> Tensor:
+        """The energy (s,) [N mm] at positions x (s, n, 3), inf if a cell is inverted at a point."""
+        if x.is_cuda:
+            from tacgen.tensor_engine import gpu_elements
 
-    def spread(self, P: Tensor) -> Tensor:
-        """Nodal forces (s, n, 3) of stresses P (s, e, q, 3, 3)."""
-        return self.topology.at_nodes(self.B.flatten(-2) @ (self.weights[..., None, None] * P).mT.flatten(2, 3))
+            return gpu_elements.states(self, x, False)[0].sum(1)
+        return self.evaluate(x).energy
 
-    def predicted(self, at: Tensor, J: Tensor, to: Tensor, taken: Tensor) -> Tensor:
-        """J (s, e, q) at F = `to`, to first order from J at F = `at`, linearised at F = `taken`."""
-        return _predicted(taken, at, J, to)
+    def gradient(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """J (s, e, q), 1 where a cell is inverted, and dE/dx (s, n, 3) [N] at positions x (s, n, 3)."""
+        if x.is_cuda:
+            from tacgen.tensor_engine import gpu_elements
 
-    def with_pressure(self, at: HexPoints, J: Tensor) -> list[Tensor]:
-        """HexPoints.first with the pressure of another J (s, e, q)."""
-        return [*at.first[:2], _with_pressure(at.first[2], at.J, J, self.weights, self.laws.values)]
+            _, J, forces = gpu_elements.states(self, x, True)
+            return J, self.topology.at_nodes(forces)
+        at = self.evaluate(x)
+        return at.J, self._spread(_piola(at.F, at.I1, at.first, self.laws.two_invariants))
 
-    def mixed_forces(self, at: HexPoints, J: Tensor, taken: Tensor) -> Tensor:
-        """Right-hand side (s, n, 3) of a step whose tangent was computed at F = `taken`, with the predicted J; see
+    def mixed_forces(self, x: Tensor, J: Tensor, taken: Tensor) -> Tensor:
+        """Right-hand side (s, n, 3) at x of a step whose tangent was computed at F = `taken`, with the predicted J; see
         fem.elasticity.Elastic.mixed_forces."""
-        first = self.with_pressure(at, J)
-        w1, w2, w3 = first
-        P = _piola(at.F, at.I1, w1, w2, w3, self.laws.two_invariants)
-        return self.spread(_with_pressures(P, at.first[2] - first[2], taken))
+        if x.is_cuda:
+            from tacgen.tensor_engine import gpu_elements
+
+            return self.topology.at_nodes(gpu_elements.states(self, x, True, J, taken)[2])
+        at = self.evaluate(x)
+        first = self._with_pressure(at, J)
+        P = _piola(at.F, at.I1, first, self.laws.two_invariants)
+        return self._spread(P + (at.first[2] - first[2])[..., None, None] * cofactor(taken))
+
+    def predicted(self, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
+        """J (s, e, q) at positions `to`, to first order from J at x (s, n, 3), linearised at F = `taken`."""
+        if x.is_cuda:
+            from tacgen.tensor_engine import gpu_elements
+
+            return gpu_elements.predictions(self, x, to, taken)
+        F = self.deformation(x)
+        return determinant(F) + (cofactor(taken) * (self.deformation(to) - F)).sum((-2, -1))
+
+    def _spread(self, P: Tensor) -> Tensor:
+        """Nodal forces (s, n, 3) of stresses P (s, e, q, 3, 3)."""
+        B, weights, _ = self.own
+        return self.topology.at_nodes(B.flatten(-2) @ (weights[..., None, None] * P).mT.flatten(2, 3))
+
+    def _with_pressure(self, at: HexPoints, J: Tensor) -> list[Tensor]:
+        """HexPoints.first with the pressure of another J (s, e, q)."""
+        J = torch.minimum(torch.maximum(J, at.J / PREDICTED), PREDICTED * at.J)
+        _, weights, values = self.own
+        change = volumetric(values, mean(J, weights))[1] - volumetric(values, mean(at.J, weights))[1]
+        return [*at.first[:2], at.first[2] + change[..., None]]
 
     def tangents(
         self,
-        at: HexPoints,
+        x: Tensor,
         J: Tensor | None = None,
         projection: Projection = Projection.NONE,
         dtype: torch.dtype = torch.float64,
-    ) -> Tensor:
-        """d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner + direction; with the pressure at the
-        predicted J if given. dtype: in which they are computed."""
-        first = at.first if J is None else self.with_pressure(at, J)
-        F, I1, weights, B, dilatation = (p.to(dtype) for p in (at.F, at.I1, self.weights, self.B, at.dilatation))
+    ) -> tuple[Tensor, Tensor]:
+        """F (s, e, q, 3, 3) at x (s, n, 3) and d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner +
+        direction; with the pressure at the predicted J if given. dtype: in which they are computed."""
+        if x.is_cuda and projection is Projection.NONE and dtype is torch.float32:
+            from tacgen.tensor_engine import gpu_tangents
+
+            return gpu_tangents.tangents(self, x, J)
+        at = self.evaluate(x)
+        first = at.first if J is None else self._with_pressure(at, J)
+        B, weights, _ = self.own
+        F, I1, weights, B, dilatation = (p.to(dtype) for p in (at.F, at.I1, weights, B, at.dilatation))
         first, second = ([p.to(dtype) for p in each] for each in (first, at.second))
         D = slopes(F, I1, first, second, self.laws.two_invariants)
         if projection is not Projection.NONE:
             D = clamped(D, F, projection)
         K = stiffness(B.movedim(-3, -2), weights, D)
         g = (B.flatten(-2) @ (weights[..., None, None] * cofactor(F)).mT.flatten(2, 3)).flatten(-2)
-        return K.addcmul_(dilatation[..., None, None] * g[..., :, None], g[..., None, :])
+        return at.F, K.addcmul_(dilatation[..., None, None] * g[..., :, None], g[..., None, :])
 
 
 def mapped(corners: Tensor, dN: Array) -> tuple[Tensor, Tensor]:
@@ -200,25 +248,11 @@ def _state(F: Tensor, w: Tensor, values: Tensor) -> tuple[Tensor, ...]:
     return I1, J, energy, dilatation, first[0], first[1], first[2] + dU[..., None], *second
 
 
-def _piola(F: Tensor, I1: Tensor, w1: Tensor, w2: Tensor, w3: Tensor, two: bool) -> Tensor:
+def _piola(F: Tensor, I1: Tensor, first: list[Tensor], two: bool) -> Tensor:
     """P (..., 3, 3) = 2 w1 F + 2 w2 (I1 F - F F^T F) + w3 cof F; two: whether there is a w2."""
+    w1, w2, w3 = first
     P = 2 * (w1 + w2 * I1)[..., None, None] * F + w3[..., None, None] * cofactor(F)
     return P - 2 * w2[..., None, None] * product(F, product(F.mT, F)) if two else P
-
-
-def _predicted(taken: Tensor, at: Tensor, J: Tensor, to: Tensor) -> Tensor:
-    return J + (cofactor(taken) * (to - at)).sum((-2, -1))
-
-
-def _with_pressure(first: Tensor, true: Tensor, J: Tensor, weights: Tensor, values: Tensor) -> Tensor:
-    """dW/dJ with the pressure of another J (s, e, q) than the true one."""
-    J = torch.minimum(torch.maximum(J, true / PREDICTED), PREDICTED * true)
-    change = volumetric(values, mean(J, weights))[1] - volumetric(values, mean(true, weights))[1]
-    return first + change[..., None]
-
-
-def _with_pressures(P: Tensor, pressure: Tensor, taken: Tensor) -> Tensor:
-    return P + pressure[..., None, None] * cofactor(taken)
 
 
 def slopes(F: Tensor, I1: Tensor, first: list[Tensor], second: list[Tensor], two: bool) -> Tensor:
@@ -252,6 +286,10 @@ def clamped(D: Tensor, F: Tensor, projection: Projection) -> Tensor:
 
 def _nearest(D: Tensor) -> Tensor:
     """Symmetric D (k, 9, 9) without negative eigenvalues."""
-    values, vectors = torch.linalg.eigh(D)
-    nearest: Tensor = (vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT
+    size = D.abs().amax((1, 2), keepdim=True).clamp(min=1e-30)
+    try:
+        values, vectors = torch.linalg.eigh(D / size)
+    except torch.linalg.LinAlgError:  # a GPU's iteration did not converge for one of them
+        values, vectors = (part.to(D.device) for part in torch.linalg.eigh((D / size).cpu()))
+    nearest: Tensor = size * ((vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT)
     return nearest

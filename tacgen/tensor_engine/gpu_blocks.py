@@ -1,7 +1,8 @@
-"""Inverses of small blocks on a GPU, one program each, by Triton: PyTorch's own take dozens of launches.
+"""Inverses of small blocks on a GPU, one program each, by Triton: PyTorch's own take dozens of launches; and products
+of matrices in slots, which PyTorch would copy first.
 
-In plain operations these are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.inv_ex. Imported only
-where there is a GPU; numbers are of single precision.
+In plain operations the inverses are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.inv_ex, of numbers
+of single precision. Imported only where there is a GPU.
 """
 
 import torch
@@ -90,3 +91,45 @@ def inverse(A: Tensor) -> None:
     n = A.shape[-1]
     size = 16 if n <= 16 else 32 if n <= 32 else 64
     _inverse[(len(A),)](A, n, *A.stride(), SIZE=size, num_warps=1 if size < 64 else 8)
+
+
+@triton.jit(do_not_specialize=("tiles", "rows", "columns"))
+def _slot_times(A, SLOTS, X, Y, tiles, rows, columns, slot, tile, row, TURNED: tl.constexpr, SIZE: tl.constexpr):
+    which = tl.program_id(0).to(tl.int64)
+    first = A + tl.load(SLOTS + which // tiles) * slot + which % tiles * tile
+    mine, each = tl.program_id(1) * SIZE + tl.arange(0, SIZE), tl.arange(0, SIZE)
+    out = tl.zeros((SIZE,), Y.dtype.element_ty)
+    if TURNED:
+        k = 0
+        while k < rows:  # Triton's interpreter has no range of such numbers
+            j = k + each
+            x = tl.load(X + which * rows + j, mask=j < rows, other=0.0)
+            inside = (j < rows)[:, None] & (mine < columns)[None, :]
+            M = tl.load(first + j[:, None] * row + mine[None, :], mask=inside, other=0.0)
+            out += tl.sum(M.to(Y.dtype.element_ty) * x[:, None], 0)
+            k += SIZE
+        tl.store(Y + which * columns + mine, out, mask=mine < columns)
+    else:
+        k = 0
+        while k < columns:
+            j = k + each
+            x = tl.load(X + which * columns + j, mask=j < columns, other=0.0)
+            inside = (mine < rows)[:, None] & (j < columns)[None, :]
+            M = tl.load(first + mine[:, None] * row + j[None, :], mask=inside, other=0.0)
+            out += tl.sum(M.to(Y.dtype.element_ty) * x[None, :], 1)
+            k += SIZE
+        tl.store(Y + which * rows + mine, out, mask=mine < rows)
+
+
+def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool) -> Tensor:
+    """products.slot_times of A (capacity, r, c) or (capacity, t, r, c), whose columns are next to each other."""
+    (rows, columns), tiles = A.shape[-2:], x.shape[:-1].numel() // max(len(slots), 1)
+    count = columns if transposed else rows
+    y = x.new_zeros(*x.shape[:-1], count)
+    if y.numel():
+        size = 64 if max(rows, columns) > 32 else 32
+        _slot_times[(len(slots) * tiles, triton.cdiv(count, size))](
+            A, slots, x.contiguous(), y, tiles, rows, columns, A.stride(0), A.stride(-3) if A.dim() > 3 else 0,
+            A.stride(-2), TURNED=transposed, SIZE=size,
+        )  # fmt: skip
+    return y

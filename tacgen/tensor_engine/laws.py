@@ -42,7 +42,7 @@ class Laws:
 
     @classmethod
     def of(cls, values: Tensor) -> "Laws":
-        return cls(values, bool((values[1] != 0).any()))
+        return cls(values.contiguous(), bool((values[1] != 0).any()))
 
     def rows(self, slots: Tensor) -> "Laws":
         """Only some scenes (r,)."""

@@ -109,12 +109,12 @@ def take(b: Batch, s: Tensor, at: str, mixed: bool, projection: Projection = Pro
 
 def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection, s: Tensor) -> tuple[Tensor]:
     """Keeps the factors of tangents, and which there are (s,)."""
-    hexes, here, folding, _ = b.bulk(s, getattr(b.t, at)[s])
-    K = hexes.tangents(here, b.t.J[s] if mixed else None, projection, b.factors.dtype)
-    folding.add_tangents(K, projection)
+    x = getattr(b.t, at)[s]
+    F, K = b.hexes.rows(s).tangents(x, b.t.J[s] if mixed else None, projection, b.factors.dtype)
+    b.folded(s, x).add_tangents(K, projection)
     good, S = b.factors.factor(s, K, b.t.nodes[s, : sizes.nodes], sizes.fewest)
     b.keep(s, S=S)
-    b.t.put(s, taken=here.F)
+    b.t.put(s, taken=F)
     return (good,)
 
 
@@ -208,7 +208,7 @@ def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tenso
 
 def _start(b: Batch, s: Tensor) -> tuple[()]:
     t, x = b.t, b.t.x[s]
-    t.put(s, begins=x, energy=b.bulk(s, x)[3], J=b.hexes.rows(s).evaluate(t.h_x[s]).J)
+    t.put(s, begins=x, energy=b.energy(s, x), J=b.hexes.rows(s).gradient(t.h_x[s])[0])
     return ()
 
 
@@ -226,7 +226,7 @@ def _anchor(b: Batch, s: Tensor, x: Tensor) -> None:
 
 def _clear(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     """Whether a straight step to x (s, n, 3) tunnels nowhere and inverts no cell."""
-    return torch.isfinite(b.bulk(s, x)[3]) & ~blocked(b, s, x)
+    return torch.isfinite(b.energy(s, x)) & ~blocked(b, s, x)
 
 
 def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
+from tacgen.tensor_engine.products import slot_times
 
 Array = np.ndarray
 BASE = 64  # rows up to which a diagonal block is factorised by LAPACK or by one program; larger ones by halves
@@ -212,8 +213,8 @@ class Multifrontal:
         for fronts, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
             t, w, m = fronts.sizes
             bound = x[:, fronts.bound].view(-1, t, m)
-            q = y[:, fronts.own].view(-1, t, w) - slot_transposed_times(panel.below, slots, bound)
-            x[:, fronts.own.view(-1)] = slot_transposed_times(panel.inverse, slots, q).view(len(y), -1, 3)
+            q = y[:, fronts.own].view(-1, t, w) - slot_times(panel.below, slots, bound, True)
+            x[:, fronts.own.view(-1)] = slot_times(panel.inverse, slots, q, True).view(len(y), -1, 3)
         return x[:, :-1]
 
     def _padded(self, x: Tensor) -> Tensor:
@@ -284,16 +285,6 @@ def _subtract_square(U: Tensor, L: Tensor) -> None:
     for at in range(0, m, STRIP):
         to = min(at + STRIP, m)
         U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
-
-
-def slot_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
-    """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c)."""
-    return (A[slots] @ x[..., None]).squeeze(-1)
-
-
-def slot_transposed_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
-    """The products (s, ..., c) of the transposed of A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., r)."""
-    return (A[slots].mT @ x[..., None]).squeeze(-1)
 
 
 def _carried(fronts: _Fronts, below: list[Tensor], b: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ import torch
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import elements
+from tacgen.fem.elements import Elements
 from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.problem import Problem, by_distance
@@ -20,7 +20,7 @@ from tacgen.tensor_engine import engine, grids, refill, scheduler
 from tacgen.tensor_engine.batch import Batch, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
-from tacgen.tensor_engine.elements import Topology
+from tacgen.tensor_engine.elements import SHAPE, Topology
 from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
@@ -36,7 +36,6 @@ CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
 MATRIX = 64  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE = (Phase.contact, Phase.predict)
-DAMPED = (Phase.contact, Phase.search)  # kernels that have more to do for a scene that is damped
 NONE = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)  # of no sparse matrix
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
@@ -88,12 +87,10 @@ class PreparedScene:
 
 
 def _unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
-    """The problem of a scene on its mesh without the tables of the CPU's sparse stiffness, which take most of the time
-    to make."""
-    elastic = tuple(
-        Elastic(elements(grid.points, grid.cells[grid.layer == number]), layer.law)
-        for number, layer in enumerate(scene.gel.layers)
-    )
+    """The problem of a scene on its mesh without the CPU engine's tables, which take most of the time to make: those of
+    elements, and of the sparse stiffness."""
+    none = Elements(grid.cells[:0], np.zeros((0, 8, 8, 3)), np.zeros((0, 8)), 0.0, SHAPE)
+    elastic = tuple(Elastic(none, layer.law) for layer in scene.gel.layers)
     contact = by_distance(scene, grid, None)
     return Problem(grid, elastic, (), contact, NONE, scene.friction, scene.edge)
 
@@ -133,10 +130,9 @@ class ScenePool:
         return course.phase
 
     def size(self, slot: int) -> int:
-        """For kernels of dense matrices of a contact's nodes, their class; negative if the scene is damped."""
+        """For kernels of dense matrices of a contact's nodes, their class."""
         course = self.batch.courses[slot]
-        width = width_class(course.nodes) if course.phase in DENSE else 1
-        return -width if course.phase in DAMPED and course.inner_damping > 0 else width
+        return width_class(course.nodes) if course.phase in DENSE else 1
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -225,10 +221,11 @@ class Room:
     def of(cls, tree: Dissection, memory: float) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-        own = 4.0 * (tree.kept + k * k + k * WIDE + 5 * WIDE**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
+        wide = min(k, WIDE)
+        own = 4.0 * (tree.kept + k * k + k * wide + 5 * wide**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-        return cls(max(1, int(0.4 * memory / own)), each, 0.15 * memory)
+        return cls(max(1, int(0.4 * memory / own)), each, 0.2 * memory)
 
     def most(self, phase: Phase, size: int) -> int:
         """Scenes that a call of a kernel may have, of a class of sizes: as a recording has, at least the smallest."""

@@ -1,4 +1,5 @@
-"""Products of many small matrices and vectors, as sums: batched multiplication is slow for so few rows."""
+"""Products of many small matrices and vectors, as sums: batched multiplication is slow for so few rows; and of matrices
+in slots and vectors."""
 
 from torch import Tensor
 
@@ -16,3 +17,14 @@ def product(A: Tensor, B: Tensor) -> Tensor:
 def outer(a: Tensor, b: Tensor) -> Tensor:
     """a b^T of vectors (..., m) and (..., n)."""
     return a[..., :, None] * b[..., None, :]
+
+
+def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool = False) -> Tensor:
+    """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c), in the
+    precision of x; transposed: of A^T (s, ..., c) and x (s, ..., r). On a GPU nothing is copied."""
+    if A.is_cuda:
+        from tacgen.tensor_engine import gpu_blocks
+
+        return gpu_blocks.slot_times(A, slots, x, transposed)
+    some = A[slots].to(x.dtype)
+    return ((some.mT if transposed else some) @ x[..., None]).squeeze(-1)

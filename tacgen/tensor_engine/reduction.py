@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.multifrontal import BASE, invert_factor
+from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.replay import rare
 
 EXACT = 1e-3  # largest residual of a solution without pivots, over the largest entry of the right-hand side [-]
@@ -18,23 +19,26 @@ EXACT = 1e-3  # largest residual of a solution without pivots, over the largest 
 @dataclass(frozen=True)
 class Reduction:
     """For Schur complements (s, k, k): numbers (s, a) of the unknowns that are kept, k where padded, and `place` (s, k)
-    of each among them, a if eliminated; the inverse G (s, k, k) of the eliminated part, 0 elsewhere; X = G S on the
-    kept columns (s, k, a); and K (s, a, a), the stiffness on the kept unknowns, the unit matrix where padded."""
+    of each among them, a if eliminated; and K (s, a, a), the stiffness on the kept unknowns, the unit matrix where
+    padded. At their slots (s,): the inverse G (capacity, k, k) of the eliminated part, 0 elsewhere, and X = G S on the
+    kept columns (capacity, k, a)."""
 
     kept: Tensor
     place: Tensor
     G: Tensor
     X: Tensor
     K: Tensor
+    slots: Tensor
 
     def solve(self, K: Tensor, b: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """x (s, k) of (S + contact) x = b (s, k), with K (s, a, a) of both on the kept unknowns, and which exist (s,):
         K is not singular or, if symmetric, is positive definite."""
         to, b = b.dtype, b.to(K.dtype)
-        right = _padded(b).gather(1, self.kept)[..., None] - self.X.mT @ b[..., None]
-        x, good = (solved_by_root if symmetric else solved)(K, right)
-        out = _padded((self.G @ b[..., None] - self.X @ x).squeeze(-1))
-        out = out.scatter(1, self.kept, x.squeeze(-1))[:, :-1]
+        right = _padded(b).gather(1, self.kept) - slot_times(self.X, self.slots, b, True)
+        x, good = (solved_by_root if symmetric else solved)(K, right[..., None])
+        x = x.squeeze(-1)
+        out = _padded(slot_times(self.G, self.slots, b) - slot_times(self.X, self.slots, x))
+        out = out.scatter(1, self.kept, x)[:, :-1]
         good = good & torch.isfinite(out).all(1)
         return torch.where(good[:, None], out, 0.0).to(to), good
 
@@ -55,13 +59,14 @@ def solved(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def solved_by_inverse(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """As `solved`, by the inverse without pivots where that is exact enough for a step of Newton's method: much faster
-    on a GPU."""
+    """As `solved`, by the inverse without pivots, refined once, where that is exact enough for a step of Newton's
+    method: much faster on a GPU."""
     if not K.shape[1]:  # nothing touches
         return b, torch.ones(len(K), dtype=torch.bool, device=K.device)
     inverse = K.clone()
     invert(inverse)
     x = inverse @ b
+    x = x + inverse @ (b - K @ x)
     good = (b - K @ x).abs().amax((1, 2)) <= EXACT * b.abs().amax((1, 2))
     if rare(~good):  # not a number is not small
         bad = torch.nonzero(~good).squeeze(1)
@@ -114,7 +119,8 @@ def reduced(S: Tensor, active: Tensor, a: int) -> tuple[Reduction, Tensor]:
     rows = kept[..., None].expand(-1, -1, a)
     K = torch.nn.functional.pad(right - S @ X, (0, 0, 0, 1)).gather(1, rows)
     pad = (kept == k).to(S.dtype)
-    return Reduction(kept, place, G, X, K + torch.diag_embed(pad)), info == 0
+    slots = torch.arange(len(S), device=S.device)
+    return Reduction(kept, place, G, X, K + torch.diag_embed(pad), slots), info == 0
 
 
 def with_points(K: Tensor, place: Tensor, conn: Tensor, N: Tensor, D: Tensor) -> Tensor:
@@ -127,9 +133,9 @@ def with_points(K: Tensor, place: Tensor, conn: Tensor, N: Tensor, D: Tensor) ->
     pairs = (N[:, :, None] * N[:, None, :]).flatten(1).T
     blocks = (pairs @ D.flatten(-2)).view(s, -1, 4, 4, 3, 3)
     unknowns = (3 * conn[..., None] + torch.arange(3, device=K.device)).flatten(1)
-    at = place.gather(1, unknowns).view(s, -1, 4, 3)
+    at = place.gather(1, unknowns).view(s, -1, 4, 3).transpose(1, 2)
+    index = at[:, :, :, None, :, None] * (a + 1) + at.transpose(1, 2)[:, None, :, :, None, :]
     out = torch.nn.functional.pad(K, (0, 1, 0, 1)).flatten(1)
     for corner in range(4):
-        index = at[:, :, corner, None, :, None] * (a + 1) + at[:, :, :, None, :]
-        out = out.scatter_add(1, index.flatten(1), blocks[:, :, corner].flatten(1))
+        out.scatter_add_(1, index[:, corner].flatten(1), blocks[:, :, corner].flatten(1))
     return out.view(s, a + 1, a + 1)[:, :a, :a]

@@ -10,6 +10,8 @@ from tacgen.tensor_engine.grids import Place
 
 ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
 
+FOLDING = ("X", "rest", "volume", "mu")
+
 
 def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
     """Put a scene, before its first load step, into a slot of a batch.
@@ -23,10 +25,9 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
     for name in ROWS:
         getattr(b, name)[slot] = getattr(one, name)[0]
     b.free &= one.free  # bonded nodes that no scene before has had
-    for mine, new in ((b.hexes, one.hexes), (b.folding, one.folding)):
-        for name, part in vars(mine).items():
-            if isinstance(part, torch.Tensor):
-                part[slot] = getattr(new, name)[0]
+    for mine, new, names in ((b.hexes, one.hexes, ("B", "weights")), (b.folding, one.folding, FOLDING)):
+        for name in names:
+            getattr(mine, name)[slot] = getattr(new, name)[0]
     b.hexes = replace(b.hexes, laws=b.hexes.laws.replaced(slot, one.hexes.laws))
     b.courses[slot] = one.courses[0]
     for name, rows in vars(b.t).items():

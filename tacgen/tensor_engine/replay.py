@@ -2,8 +2,8 @@
 
 For some dozens of scenes a GPU takes less time for an operation than its host to launch it. Work is a function of slots
 (s,) that reads and writes a batch's tensors, and never waits for the device: where it goes on otherwise for a few
-scenes, it asks `rare`, and is done again without a recording if one of them was met. So work must not read what it
-writes.
+scenes, it asks `rare`, and is done again for these without a recording. So work must not read what it writes, and a
+scene's results must not depend on the others of a call.
 """
 
 import gc
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.device import cleared
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import index_of, listed
 
 Outputs = tuple[Tensor, ...]
 Work = Callable[..., Outputs]  # of slots (s,) and numbers (s,); outputs have a row for each
@@ -24,20 +24,22 @@ _noted: list[Tensor] | None = None  # what was assumed not to occur, while work 
 
 
 def padded(rows: int) -> int:
-    """Rows of the recording for so many: few sizes, as each takes the time of some calls to record."""
-    return 2 << 2 * ((max(rows, 2) - 1).bit_length() // 2)
+    """Rows of the recording for so many: 2, 8, 16, 32... Each size takes the time of some calls to record, and rows
+    that repeat the first one take as long as others."""
+    return 2 if rows <= 2 else max(8, 1 << (rows - 1).bit_length())
 
 
 def recorded(most: int) -> int:
     """Rows of the largest recording with at most so many, or of the smallest."""
-    return 2 << 2 * ((max(most, 2).bit_length() - 2) // 2)
+    return 2 if most < 8 else 1 << most.bit_length() - 1
 
 
 def rare(mask: Tensor) -> bool:
-    """Whether a mask is set anywhere. While work is recorded False: where that was wrong, the work is done again."""
+    """Whether a mask (s,) is set anywhere. While work is recorded False: the work is done again for scenes where that
+    was wrong."""
     if _noted is None:
         return bool(mask.any())
-    _noted.append(mask.any())
+    _noted.append(mask)
     return False
 
 
@@ -65,7 +67,7 @@ class Replays:
 
     def __init__(self, device: torch.device, on: bool | None = None) -> None:
         self.device, self.on = device, device.type == "cuda" if on is None else on
-        self.count = 0  # calls that were replays
+        self.count = self.again = 0  # replays, and scenes of them that were done again
         self._recorded: dict[Hashable, _Recording | None] = {}
         self._where: Any = None  # stream and pool of memory, which recordings share since they never run at once
 
@@ -89,10 +91,14 @@ class Replays:
             if self._where is None and self.device.type == "cuda":
                 self._where = torch.cuda.Stream(), torch.cuda.graph_pool_handle()
             recorded = self._recorded[key] = _Recording(work, size, len(numbers), self.device, self._where)
-        out = recorded.replay(rows, numbers)
-        if out is None:
-            return self._eagerly(work, s, numbers)
+        out, missed = recorded.replay(rows, numbers)
         self.count += 1
+        if missed:
+            self.again += len(missed)
+            some, k = index_of([rows[k] for k in missed], self.device), torch.tensor(missed, device=self.device)
+            again = self._eagerly(work, some, [[each[k] for k in missed] for each in numbers])
+            for whole, part in zip(out, again, strict=True):
+                whole[k] = part
         return out
 
     def _eagerly(self, work: Work, s: Tensor, numbers: Sequence[Sequence[float]]) -> Outputs:
@@ -114,7 +120,7 @@ class _Recording:
     def _run(self, work: Work) -> None:
         with _noting() as notes:
             self.out = work(self.slots, *self.numbers)
-            self.missed = torch.stack(notes).any() if notes else None
+            self.missed = torch.stack(notes).any(0) if notes else None
 
     def _capture(self, graph: Any, stream: Any, pool: Any) -> None:
         now = torch.cuda.current_stream()
@@ -129,8 +135,8 @@ class _Recording:
             gc.enable()
         now.wait_stream(stream)
 
-    def replay(self, rows: list[int], numbers: Sequence[Sequence[float]]) -> Outputs | None:
-        """Outputs for these rows; None: something rare was met."""
+    def replay(self, rows: list[int], numbers: Sequence[Sequence[float]]) -> tuple[Outputs, list[int]]:
+        """Outputs for these rows, and the places of those that met something rare."""
         more = self.size - len(rows)
         self.slots.copy_(torch.tensor(rows + rows[:1] * more))
         for at, each in zip(self.numbers, numbers, strict=True):
@@ -139,6 +145,7 @@ class _Recording:
             self.run()
         else:
             self.graph.replay()
-        if self.missed is not None and bool(self.missed):
-            return None
-        return tuple(part[: len(rows)] for part in self.out)
+        out = tuple(part[: len(rows)] for part in self.out)
+        if self.missed is None:
+            return out, []
+        return out, [k for k, missed in enumerate(self.missed[: len(rows)].tolist()) if missed]

@@ -33,19 +33,23 @@ def rows() -> list[Row]:
     return list(plan.load(assets.recipe_path(real_units.RECIPE)).rows)
 
 
+@pytest.fixture(autouse=True)
+def one_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One instead of several."""
+    monkeypatch.setattr(normal_net, "MEMBERS", 1)
+
+
 def test_a_network_learns_one_unit_and_fails_on_one_of_another_contrast() -> None:
-    net = real_units.trained([pressed(k) for k in range(6)])
-    assert real_units.off(net, [pressed(9)]) < 1.5
-    assert real_units.off(net, [pressed(9, gain=2.0)]) > 8
+    net = NormalNet.trained([pressed(k) for k in range(192)])
+    assert real_units.off(net, [pressed(999)]) < 1.5
+    assert real_units.off(net, [pressed(999, gain=2.0)]) > 8
 
 
-def test_own_photographs_are_left_out_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The odd one of six is unlike all others: no network that has not seen it suits it."""
-    monkeypatch.setattr(normal_net, "MOST", 500)
-    monkeypatch.setattr(normal_net, "STEPS", 100)
-    presses = [pressed(k) for k in range(5)]
+def test_own_photographs_are_left_out_in_turn() -> None:
+    """The odd third is unlike all others: no network that has not seen it suits it."""
+    presses = [pressed(k) for k in range(60)]
     even = real_units.left_out(presses)
-    odd = real_units.left_out([*presses, pressed(5, gain=-1.0)])
+    odd = real_units.left_out([one if k % 3 else pressed(k, gain=-1.0) for k, one in enumerate(presses)])
     assert even < 2
     assert odd > even + 4
 
@@ -67,20 +71,23 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
         """Dents steeper than the presses of two units are unlike those."""
         gain = 3.0 if sensor.name == real_units.FILES[names[2]] else 1.0
+        made = [pressed(seed + k, gain) for k in range(count)]
         steep = Samples(pressed(seed, -1.0).features, 1.2 * pressed(seed).slopes)
-        return [pressed(seed, gain), steep] if deepest > 0.8 and gain == 1.0 else [pressed(seed, gain)]
+        return [*made, steep] if deepest > 0.8 and gain == 1.0 else made
 
     def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, float]:
         last = name == names[2]
-        return [pressed(99 + k, 3.0 if last else 1.0) for k in range(3)], 20.0, 0.9 if last else 0.75
+        return [pressed(99 + k, 3.0 if last else 1.0) for k in range(60)], 20.0, 0.9 if last else 0.75
 
-    learnt, steepest = real_units.trained, []
+    steepest = []
 
-    def trained(seen: Sequence[Samples]) -> NormalNet:
-        steepest.append(max(one.steepest for one in seen))
-        return learnt(seen)
+    class Net(NormalNet):
+        @classmethod
+        def trained(cls, presses: Sequence[Samples]) -> NormalNet:
+            steepest.append(max(one.steepest for one in presses))
+            return super().trained(presses)
 
-    monkeypatch.setattr(real_units, "trained", trained)
+    monkeypatch.setattr(real_units, "NormalNet", Net)
     monkeypatch.setattr(real_units, "drawn", drawn)
     monkeypatch.setattr(real_units, "photographed", photographed)
     monkeypatch.setattr(real_units.plan, "load", lambda path: SimpleNamespace(rows=rows))
@@ -103,9 +110,9 @@ def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
     one, again, other = (next(compared.dents(0.7, 1, seed)) for seed in (0, 0, 1))
     assert np.array_equal(one.change, again.change)
     assert one.slopes.shape != other.slopes.shape
-    made = Samples.of(one, 50)
-    assert made.slopes.shape == (50, 2)
-    assert made.features.shape == (50, 5)
+    made = Samples.of(one)
+    assert made.slopes.shape == (one.where.sum(), 2)
+    assert made.features.shape == (one.where.sum(), 5)
 
 
 def test_the_summary_tells_the_profile_of_9dtact() -> None:

@@ -50,16 +50,66 @@ def test_half_the_change_is_reported(compared, unit):
     assert found.noisy < found.normals / 2
 
 
-def test_the_nets_slope_is_that_of_its_loss(monkeypatch):
-    """Against a plain function: a net learns it, and without steps it does not."""
+def test_a_network_learns_a_plain_function(monkeypatch):
+    """The slope of its loss is right; without steps it does not learn."""
     monkeypatch.setattr(normal_net, "STEPS", 300)
-    random = np.random.default_rng(1)
-    features = random.uniform(-1, 1, (600, 5))
-    wanted = np.column_stack([np.tanh(features[:, 0] - features[:, 3]), 0.5 * features[:, 1] ** 2])
-    off = np.abs(normal_net.NormalNet.trained(features, wanted).normals(features) - wanted).mean()
-    assert off < 0.04
+    random, presses = np.random.default_rng(1), []
+    for _ in range(60):
+        features = random.uniform(-1, 1, (100, 5))
+        presses.append((features, np.column_stack([np.tanh(features[:, 0] - features[:, 3]), features[:, 1] ** 2 / 2])))
+
+    def off() -> float:
+        net = normal_net.NormalNet.trained(presses)
+        return float(np.mean([np.abs(net.normals(features) - wanted).mean() for features, wanted in presses]))
+
+    learnt = off()
+    assert learnt < 0.04
     monkeypatch.setattr(normal_net, "STEPS", 0)
-    assert np.abs(normal_net.NormalNet.trained(features, wanted).normals(features) - wanted).mean() > 5 * off
+    assert off() > 5 * learnt
+
+
+def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
+    """The decay by press: with that of 192 presses, a network of five finds them better, and others worse."""
+    monkeypatch.setattr(normal_net, "STEPS", 300)
+    few, others = list(compared.dents(0.75, 5)), list(compared.dents(0.75, 16, seed=1))
+
+    def off() -> list[float]:
+        net = likeness.learned(few)
+        return [float(np.mean([one.off(net.normals(one.features)) for one in part])) for part in (few, others)]
+
+    held = off()
+    monkeypatch.setattr(normal_net, "DECAY", normal_net.DECAY * 5 / likeness.DENTS)
+    loose = off()
+    assert loose[0] < held[0] / 2
+    assert loose[1] > 1.2 * held[1]
+
+
+def test_noise_in_training_makes_the_network_smooth(monkeypatch):
+    """Normals that turn to and fro within few counts are learnt as their mean, which bears a colour that is off."""
+    monkeypatch.setattr(normal_net, "STEPS", 300)
+    monkeypatch.setattr(normal_net, "DECAY", 1e-5)
+    features = np.random.default_rng(1).uniform(-1, 1, (4000, 5))
+    waves = np.sin(2 * np.pi * normal_net.COUNTS / 60 * features[:, 0])  # of 60 counts
+
+    def learnt(noise: float) -> float:
+        monkeypatch.setattr(normal_net, "NOISE", noise)
+        net = normal_net.NormalNet.trained([(features, np.column_stack([waves / 3, 0 * waves]))])
+        return float(3 * np.mean(net.normals(features)[:, 0] * waves) / np.mean(waves**2))
+
+    assert learnt(0.0) > 0.8
+    assert learnt(10.0) == pytest.approx(np.exp(-((2 * np.pi * 10 / 60) ** 2) / 2), abs=0.1)
+
+
+def test_several_networks_agree_better_than_single_ones(compared, monkeypatch):
+    """The mean of members depends less on their starts: two halves of four differ less than two members."""
+    monkeypatch.setattr(normal_net, "MEMBERS", 4)
+    dents = list(compared.dents(0.75, 20))
+    net, features = likeness.learned(dents), dents[0].features
+    one, *others = (normal_net.NormalNet(net.members[k:][:1]).normals(features) for k in range(4))
+    halves = [normal_net.NormalNet(net.members[k:][:2]).normals(features) for k in (0, 2)]
+    assert net.normals(features) == pytest.approx((one + sum(others)) / 4)
+    single = np.mean([normal_net.degrees_apart(one, other).mean() for other in others])
+    assert 0 < normal_net.degrees_apart(*halves).mean() < single
 
 
 def test_changes_are_smoothed_and_places_are_not():

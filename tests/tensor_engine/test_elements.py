@@ -64,27 +64,28 @@ def case() -> Case:
 
 @pytest.mark.parametrize("row", range(len(SCENES)), ids=SCENES)
 def test_energy_forces_and_mixed_pressure_are_those_of_one_scene(case: Case, row: int) -> None:
-    at, there = case.many.evaluate(case.tensor(case.x)), case.many.evaluate(case.tensor(case.taken))
+    here, there = case.tensor(case.x), case.tensor(case.taken)
     one, x, taken = case.one[row], case.x[row], case.taken[row]
     alone, other = one.evaluate(x), one.evaluate(taken)
-    assert float(at.energy[row]) == pytest.approx(alone.energy, rel=1e-11)
+    assert float(case.many.energy(here)[row]) == pytest.approx(alone.energy, rel=1e-11)
     forces = one.forces(alone, len(x))
     scale = np.abs(forces).max()
-    assert case.many.forces(at)[row].numpy() == pytest.approx(forces, abs=1e-11 * scale)
+    assert case.many.gradient(here)[1][row].numpy() == pytest.approx(forces, abs=1e-11 * scale)
     predicted = one.predicted(other, alone, other.F)
-    many = case.many.predicted(there.F, there.J, at.F, there.F)
+    F = case.many.deformation(there)
+    many = case.many.predicted(there, here, F)
     assert many[row].numpy() == pytest.approx(predicted, abs=1e-12)
     mixed = one.mixed_forces(alone, predicted, other.F, len(x))
     assert np.abs(mixed - forces).max() > 1e-3 * scale  # the pressures differ
-    assert case.many.mixed_forces(at, many, there.F)[row].numpy() == pytest.approx(mixed, abs=1e-10 * scale)
+    assert case.many.mixed_forces(here, many, F)[row].numpy() == pytest.approx(mixed, abs=1e-10 * scale)
 
 
 @pytest.mark.parametrize("projection", Projection)
 @pytest.mark.parametrize("mixed", [False, True])
 def test_tangents_are_those_of_one_scene(case: Case, projection: Projection, mixed: bool) -> None:
-    at, there = case.many.evaluate(case.tensor(case.x)), case.many.evaluate(case.tensor(case.taken))
-    J = case.many.predicted(there.F, there.J, at.F, there.F) if mixed else None
-    K = case.many.tangents(at, J, projection)
+    here, there = case.tensor(case.x), case.tensor(case.taken)
+    J = case.many.predicted(there, here, case.many.deformation(there)) if mixed else None
+    K = case.many.tangents(here, J, projection)[1]
     for row, one in enumerate(case.one):
         data = np.zeros(len(case.pattern.indices))
         alone = one.evaluate(case.x[row])
@@ -95,12 +96,13 @@ def test_tangents_are_those_of_one_scene(case: Case, projection: Projection, mix
 
 def test_forces_are_slopes_of_the_energy_and_tangents_of_the_forces(case: Case) -> None:
     x, h = case.tensor(case.x), 1e-6
-    at = case.many.evaluate(x)
-    g, K = case.many.forces(at), case.many.tangents(at)
+    g, K = case.many.gradient(x)[1], case.many.tangents(x)[1]
     p = torch.tensor(np.random.default_rng(0).normal(size=x.shape))
-    up, down = case.many.evaluate(x + h * p), case.many.evaluate(x - h * p)
-    assert ((up.energy - down.energy) / (2 * h)).numpy() == pytest.approx((g * p).sum((1, 2)).numpy(), rel=1e-6)
-    bent = (case.many.forces(up) - case.many.forces(down)) / (2 * h)
+    up, down = x + h * p, x - h * p
+    assert ((case.many.energy(up) - case.many.energy(down)) / (2 * h)).numpy() == pytest.approx(
+        (g * p).sum((1, 2)).numpy(), rel=1e-6
+    )
+    bent = (case.many.gradient(up)[1] - case.many.gradient(down)[1]) / (2 * h)
     for row in range(len(SCENES)):
         along = (case.assembled(K, row) @ p[row].numpy().ravel()).reshape(-1, 3)
         assert bent[row].numpy() == pytest.approx(along, abs=1e-5 * np.abs(along).max())
@@ -116,13 +118,12 @@ def test_void_cells_have_no_energy_forces_or_stiffness(case: Case) -> None:
     exists = case.exists.clone()
     exists[2, 5:] = False
     some = Hexes.on(case.topology, case.X, exists, case.laws)
-    at = some.evaluate(case.tensor(case.x))
+    x = case.tensor(case.x)
     alone = replace(case.one[2], elements=hexes(case.points[2], case.cells[2][:5]), slots=None)
     point = alone.evaluate(case.x[2])
-    assert float(at.energy[2]) == pytest.approx(point.energy, rel=1e-11)
-    assert some.forces(at)[2].numpy() == pytest.approx(alone.forces(point, len(case.X[2])), abs=1e-11)
-    assert not some.tangents(at)[2, 5:].any()
-    x = case.tensor(case.x)
+    assert float(some.energy(x)[2]) == pytest.approx(point.energy, rel=1e-11)
+    assert some.gradient(x)[1][2].numpy() == pytest.approx(alone.forces(point, len(case.X[2])), abs=1e-11)
+    assert not some.tangents(x)[1][2, 5:].any()
     x[2, case.cells[0][-1, 6]] -= 1.5  # a corner of a void cell alone
     inverted = some.evaluate(x)
     assert float(torch.linalg.det(inverted.F[2]).min()) < 0
@@ -131,9 +132,9 @@ def test_void_cells_have_no_energy_forces_or_stiffness(case: Case) -> None:
 
 def test_single_precision_is_within_its_rounding(case: Case) -> None:
     single = Case(dtype=torch.float32)
-    at, exact = single.many.evaluate(single.tensor(case.x)), case.many.evaluate(case.tensor(case.x))
-    for many, one in ((single.many.forces(at), case.many.forces(exact)),
-                      (case.many.tangents(exact, dtype=torch.float32), case.many.tangents(exact))):  # fmt: skip
+    x = case.tensor(case.x)
+    for many, one in ((single.many.gradient(single.tensor(case.x))[1], case.many.gradient(x)[1]),
+                      (case.many.tangents(x, dtype=torch.float32)[1], case.many.tangents(x)[1])):  # fmt: skip
         assert many.dtype == torch.float32
         assert float((many - one).abs().max() / one.abs().max()) < 2e-6
 
@@ -189,7 +190,7 @@ def test_the_bound_is_of_the_cells_that_exist_and_of_finite_points(case: Case) -
 
 
 def test_tangents_are_projected_part_by_part(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    at = case.many.evaluate(case.tensor(case.x))
-    whole = case.many.tangents(at, None, Projection.FULL)
+    x = case.tensor(case.x)
+    whole = case.many.tangents(x, None, Projection.FULL)[1]
     monkeypatch.setattr(elements, "MOST", 7)
-    assert torch.allclose(case.many.tangents(at, None, Projection.FULL), whole, rtol=0, atol=1e-12)
+    assert torch.allclose(case.many.tangents(x, None, Projection.FULL)[1], whole, rtol=0, atol=1e-12)

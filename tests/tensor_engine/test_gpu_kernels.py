@@ -10,8 +10,11 @@ if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
 pytest.importorskip("triton")
 
-from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance
+from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements, gpu_tangents, products
+from tacgen.tensor_engine.elements import Hexes
+from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
+from tensor_engine import test_elements
 from tensor_engine.test_contact import SHAPES, Case
 
 pytestmark = pytest.mark.slow  # the interpreter takes seconds
@@ -83,3 +86,66 @@ def test_the_first_minor_that_is_not_positive_is_told() -> None:
     A = torch.eye(40).repeat(2, 1, 1)
     A[0, 35, 35] = -1.0
     assert gpu_blocks.lower_inverse(A.to(DEVICE)).tolist() == [36, 0]
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+def test_energy_and_forces_of_cells() -> None:
+    """Of scenes in other slots than their own, with void cells and one that is inverted."""
+    case = test_elements.Case()
+    exists = case.exists.clone()
+    exists[2, 5:] = False
+    slots = torch.tensor([2, 0, 4, 3, 1])
+    hexes = Hexes.on(case.topology, case.X, exists, case.laws).rows(slots)
+    x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
+    x[4, 0] += 1.5
+    taken = hexes.deformation(there)
+    J, forces = hexes.gradient(x)
+    energy, found, parts = gpu_elements.states(hexes, x, True)
+    assert torch.isinf(hexes.energy(x)).tolist() == torch.isinf(energy.sum(1)).tolist() == [False] * 4 + [True]
+    assert close(energy.sum(1)[:4, None], hexes.energy(x)[:4, None])
+    assert torch.equal(gpu_elements.states(hexes, x, False)[0], energy)
+    for name, one, other in (
+        ("J", found, J),
+        ("forces", case.topology.at_nodes(parts), forces),
+        ("predicted", gpu_elements.predictions(hexes, there, x, taken), hexes.predicted(there, x, taken)),
+    ):
+        assert close(one[:4], other[:4]), name
+    ahead = hexes.predicted(there, x, taken)
+    mixed = case.topology.at_nodes(gpu_elements.states(hexes, x, True, ahead, taken)[2])
+    wanted = hexes.mixed_forces(x, ahead, taken)
+    assert close(mixed[:4], wanted[:4])
+    assert not close(mixed[:4], forces[:4], 1e-3)
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+@pytest.mark.parametrize("mixed", [False, True])
+def test_tangents_of_cells(mixed: bool) -> None:
+    case, slots = test_elements.Case(), torch.tensor([3, 1, 0])
+    hexes = Hexes.on(case.topology, case.X, case.exists, case.laws).rows(slots)
+    x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
+    J = hexes.predicted(there, x, hexes.deformation(there)) if mixed else None
+    F, wanted = hexes.tangents(x, J)
+    found, K = gpu_tangents.tangents(hexes, x, J)
+    assert close(found, F)
+    assert close(K, wanted, 1e-6)
+
+
+def test_lowest_jacobians_of_cells() -> None:
+    case = test_elements.Case()
+    x, one = case.tensor(case.x), torch.ones(case.exists.shape, dtype=torch.float64)
+    barriers = FoldingBarriers.on(case.topology, case.X, one, one)
+    assert close(gpu_elements.lowest(case.topology, x, barriers.rest), barriers._lowest(x))
+
+
+@pytest.mark.parametrize("shape", [(6, 70, 100), (6, 3, 20, 5), (6, 3, 0, 5)])
+@pytest.mark.parametrize("transposed", [False, True])
+def test_products_of_matrices_in_slots(shape: tuple[int, ...], transposed: bool) -> None:
+    r = np.random.default_rng(7)
+    A = torch.tensor(r.normal(size=(*shape[:-1], shape[-1] + 7)), dtype=torch.float32)[..., : shape[-1]]
+    x = torch.tensor(r.normal(size=(2, *shape[1:-2], shape[-2 if transposed else -1])))
+    slots = torch.tensor([4, 1])
+    wanted = products.slot_times(A, slots, x, transposed)
+    parts = (part.to(DEVICE) for part in (A, slots, x))
+    found = gpu_blocks.slot_times(*parts, transposed)
+    assert found.shape == wanted.shape
+    assert not wanted.numel() or close(found, wanted, 1e-12)

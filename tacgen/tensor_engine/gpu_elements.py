@@ -1,0 +1,269 @@
+"""Cells of hexes in one launch, by Triton: energy, J and forces at all points; imported only where there is a GPU.
+
+The formulas are those of elements.Hexes, laws and inversion, in double precision. A program takes cells of one scene,
+with a row of eight corners for each, and reads dN/dX from the scene's slot, so that nothing is copied.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from tacgen.fem.elasticity import PREDICTED, SMALLEST_J
+from tacgen.fem.elements import grid_points
+from tacgen.tensor_engine.indices import constant
+
+if TYPE_CHECKING:
+    from tacgen.tensor_engine.elements import Hexes, Topology
+
+CELLS = 32  # of a program
+DENSE = grid_points(8)[1]
+LEAST, MOST = tl.constexpr(SMALLEST_J), tl.constexpr(PREDICTED)
+COUNTS = ("cells", "nodes", "capacity")  # no code of its own for each value that they may have
+
+
+@triton.jit
+def cross(a, b, c, d, e, f):
+    return b * f - c * e, c * d - a * f, a * e - b * d
+
+
+@triton.jit
+def _corners(X, CONN, scene, cell, nodes, inside):
+    """Positions of the corners of cells, each (CELLS, 8)."""
+    corner = tl.arange(0, 8)[None, :]
+    node = tl.load(CONN + cell[:, None] * 8 + corner, mask=inside[:, None], other=0)
+    at = X + 3 * (scene.to(tl.int64) * nodes + node)
+    return tl.load(at), tl.load(at + 1), tl.load(at + 2)
+
+
+@triton.jit
+def _slopes(B, first, k, inside):
+    """dN/dX (CELLS, 8) of point k: B has numbers (8, 8, 3) of corner, point and direction for each cell, the first of
+    which is number `first`."""
+    at = B + 192 * first[:, None] + 24 * tl.arange(0, 8)[None, :] + 3 * k
+    real = inside[:, None]
+    return (
+        tl.load(at, mask=real, other=0.0),
+        tl.load(at + 1, mask=real, other=0.0),
+        tl.load(at + 2, mask=real, other=0.0),
+    )
+
+
+@triton.jit
+def _row(x, bx, by, bz):
+    """A row of F (3 of (CELLS,)): the sum over corners of a coordinate and dN/dX."""
+    return tl.sum(x * bx, 1), tl.sum(x * by, 1), tl.sum(x * bz, 1)
+
+
+@triton.jit
+def _determinant(x, y, z, bx, by, bz):
+    a, b, c = _row(x, bx, by, bz)
+    d, e, f = _row(y, bx, by, bz)
+    g, h, i = _row(z, bx, by, bz)
+    p, q, r = cross(d, e, f, g, h, i)
+    return a * p + b * q + c * r
+
+
+@triton.jit
+def _turned(T, p, q, r, bx, by, bz):
+    """The sum over directions of a row (3 of (CELLS,)) and dN/dX: (CELLS, 8) added to T."""
+    return T + p[:, None] * bx + q[:, None] * by + r[:, None] * bz
+
+
+@triton.jit
+def law(LAWS, number, at, capacity, cells, inside):
+    return tl.load(LAWS + number * capacity * cells + at, mask=inside, other=0.0)
+
+
+@triton.jit
+def _log1p(e):
+    """log(1 + e) exact to rounding, by the rounded sum (Kahan)."""
+    u = 1 + e
+    return tl.where(u == 1, e, tl.log(u) * e / tl.where(u == 1, 1.0, u - 1))
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _states(
+    X, CONN, B, WEIGHTS, LAWS, SLOTS, AHEAD, TAKEN, ENERGY, OUT, FORCES, cells, nodes, capacity,
+    WANT: tl.constexpr, MIXED: tl.constexpr, SIZE: tl.constexpr,
+):  # fmt: skip
+    scene = tl.program_id(0)
+    cell = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = cell < cells
+    first = tl.load(SLOTS + scene).to(tl.int64) * cells + cell
+    own = scene.to(tl.int64) * cells + cell
+    x, y, z = _corners(X, CONN, scene, cell, nodes, inside)
+    total = tl.zeros((SIZE,), tl.float64)
+    mean, ahead = total, total
+    wrong = total > 0
+    for k in range(8):  # the means of J, true and predicted
+        w = tl.load(WEIGHTS + 8 * first + k, mask=inside, other=0.0)
+        bx, by, bz = _slopes(B, first, k, inside)
+        J = _determinant(x, y, z, bx, by, bz)
+        good = J > LEAST
+        wrong = wrong | ((w != 0) & ~good)
+        J = tl.where(good, J, 1.0)
+        total, mean = total + w, mean + w * J
+        if MIXED:
+            P = tl.load(AHEAD + 8 * own + k, mask=inside, other=1.0)
+            ahead += w * tl.minimum(tl.maximum(P, J / MOST), MOST * J)
+    void = total <= 0
+    volume = tl.where(void, 1.0, total)
+    mean = tl.where(void, 1.0, mean / volume)
+    c10, c01 = law(LAWS, 0, first, capacity, cells, inside), law(LAWS, 1, first, capacity, cells, inside)
+    c20, c30 = law(LAWS, 2, first, capacity, cells, inside), law(LAWS, 3, first, capacity, cells, inside)
+    raw, kappa = law(LAWS, 4, first, capacity, cells, inside), law(LAWS, 5, first, capacity, cells, inside)
+    lam, slope = law(LAWS, 6, first, capacity, cells, inside), law(LAWS, 7, first, capacity, cells, inside)
+    e = mean - 1
+    energy = total * (kappa / 2 * (e + e * e / 2 - _log1p(e)) + lam / 2 * e * e - slope * e)
+    pressure = kappa / 2 * (mean - 1 / mean) + lam * e - slope
+    change = 0 * mean  # of the pressure, from the true mean J to the predicted one
+    if MIXED:
+        ahead = tl.where(void, 1.0, ahead / volume)
+        change = kappa / 2 * (ahead - 1 / ahead) + lam * (ahead - 1) - slope - pressure
+    fx = tl.zeros((SIZE, 8), tl.float64)
+    fy, fz = fx, fx
+    for k in range(8):
+        w = tl.load(WEIGHTS + 8 * first + k, mask=inside, other=0.0)
+        bx, by, bz = _slopes(B, first, k, inside)
+        a, b, c = _row(x, bx, by, bz)
+        d, f, g = _row(y, bx, by, bz)
+        h, i, j = _row(z, bx, by, bz)
+        ca, cb, cc = cross(d, f, g, h, i, j)
+        cd, cf, cg = cross(h, i, j, a, b, c)
+        ch, ci, cj = cross(a, b, c, d, f, g)
+        J = a * ca + b * cb + c * cc
+        J = tl.where(J > LEAST, J, 1.0)
+        I1 = a * a + b * b + c * c + d * d + f * f + g * g + h * h + i * i + j * j
+        I2 = ca * ca + cb * cb + cc * cc + cd * cd + cf * cf + cg * cg + ch * ch + ci * ci + cj * cj
+        p = tl.exp(-2 / 3 * tl.log(J))
+        s, t = p * I1 - 3, p * p
+        dw = (3 * c30 * s + 2 * c20) * s + c10
+        energy += w * (((c30 * s + c20) * s + c10) * s + c01 * (t * I2 - 3) + raw * (I1 - 3))
+        if WANT:
+            tl.store(OUT + 8 * own + k, J, mask=inside)
+            w1, w2 = dw * p + raw, c01 * t
+            w3 = -2 / 3 * p / J * I1 * dw - 4 / 3 * c01 * t * I2 / J + pressure + change
+            u, v = 2 * w * (w1 + w2 * I1), w * w3
+            # F^T F, symmetric: xx, xy, xz, yy, yz, zz
+            xx, xy, xz = a * a + d * d + h * h, a * b + d * f + h * i, a * c + d * g + h * j
+            yy, yz, zz = b * b + f * f + i * i, b * c + f * g + i * j, c * c + g * g + j * j
+            m = -2 * w * w2
+            ka, kb, kc = ca, cb, cc
+            kd, kf, kg = cd, cf, cg
+            kh, ki, kj = ch, ci, cj
+            r = 0 * w
+            if MIXED:  # the pressure that the prediction lacks acts on the cofactor of the last tangent
+                T, r = TAKEN + 9 * (8 * own + k), -w * change
+                ka, kb, kc = tl.load(T, mask=inside), tl.load(T + 1, mask=inside), tl.load(T + 2, mask=inside)
+                kd, kf, kg = tl.load(T + 3, mask=inside), tl.load(T + 4, mask=inside), tl.load(T + 5, mask=inside)
+                kh, ki, kj = tl.load(T + 6, mask=inside), tl.load(T + 7, mask=inside), tl.load(T + 8, mask=inside)
+                ta, tb, tc = cross(kd, kf, kg, kh, ki, kj)
+                td, tf, tg = cross(kh, ki, kj, ka, kb, kc)
+                th, ti, tj = cross(ka, kb, kc, kd, kf, kg)
+                ka, kb, kc, kd, kf, kg, kh, ki, kj = ta, tb, tc, td, tf, tg, th, ti, tj
+            fx = _turned(fx, u * a + v * ca + r * ka + m * (a * xx + b * xy + c * xz),
+                         u * b + v * cb + r * kb + m * (a * xy + b * yy + c * yz),
+                         u * c + v * cc + r * kc + m * (a * xz + b * yz + c * zz), bx, by, bz)  # fmt: skip
+            fy = _turned(fy, u * d + v * cd + r * kd + m * (d * xx + f * xy + g * xz),
+                         u * f + v * cf + r * kf + m * (d * xy + f * yy + g * yz),
+                         u * g + v * cg + r * kg + m * (d * xz + f * yz + g * zz), bx, by, bz)  # fmt: skip
+            fz = _turned(fz, u * h + v * ch + r * kh + m * (h * xx + i * xy + j * xz),
+                         u * i + v * ci + r * ki + m * (h * xy + i * yy + j * yz),
+                         u * j + v * cj + r * kj + m * (h * xz + i * yz + j * zz), bx, by, bz)  # fmt: skip
+    tl.store(ENERGY + own, tl.where(wrong, float("inf"), energy), mask=inside)
+    if WANT:
+        at = FORCES + 24 * own[:, None] + 3 * tl.arange(0, 8)[None, :]
+        tl.store(at, fx, mask=inside[:, None])
+        tl.store(at + 1, fy, mask=inside[:, None])
+        tl.store(at + 2, fz, mask=inside[:, None])
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _predictions(X, TO, CONN, B, SLOTS, TAKEN, OUT, cells, nodes, capacity, SIZE: tl.constexpr):
+    scene = tl.program_id(0)
+    cell = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = cell < cells
+    first = tl.load(SLOTS + scene).to(tl.int64) * cells + cell
+    own = scene.to(tl.int64) * cells + cell
+    x, y, z = _corners(X, CONN, scene, cell, nodes, inside)
+    px, py, pz = _corners(TO, CONN, scene, cell, nodes, inside)
+    for k in range(8):
+        bx, by, bz = _slopes(B, first, k, inside)
+        T = TAKEN + 9 * (8 * own + k)
+        a, b, c = tl.load(T, mask=inside), tl.load(T + 1, mask=inside), tl.load(T + 2, mask=inside)
+        d, e, f = tl.load(T + 3, mask=inside), tl.load(T + 4, mask=inside), tl.load(T + 5, mask=inside)
+        g, h, i = tl.load(T + 6, mask=inside), tl.load(T + 7, mask=inside), tl.load(T + 8, mask=inside)
+        out = _determinant(x, y, z, bx, by, bz)
+        p, q, r = cross(d, e, f, g, h, i)
+        u, v, w = _row(px - x, bx, by, bz)
+        out += p * u + q * v + r * w
+        p, q, r = cross(g, h, i, a, b, c)
+        u, v, w = _row(py - y, bx, by, bz)
+        out += p * u + q * v + r * w
+        p, q, r = cross(a, b, c, d, e, f)
+        u, v, w = _row(pz - z, bx, by, bz)
+        out += p * u + q * v + r * w
+        tl.store(OUT + 8 * own + k, out, mask=inside)
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _lowest(X, CONN, SLOPES, REST, OUT, cells, nodes, capacity, POINTS: tl.constexpr, SIZE: tl.constexpr):
+    scene = tl.program_id(0)
+    cell = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = cell < cells
+    own = scene.to(tl.int64) * cells + cell
+    x, y, z = _corners(X, CONN, scene, cell, nodes, inside)
+    least = tl.zeros((SIZE,), tl.float64) + float("inf")
+    corner = tl.arange(0, 8)[None, :]
+    for k in range(POINTS):
+        at = SLOPES + 24 * k + 3 * corner
+        J = _determinant(x, y, z, tl.load(at), tl.load(at + 1), tl.load(at + 2))
+        least = tl.minimum(least, J / tl.load(REST + POINTS * own + k, mask=inside, other=1.0))
+    tl.store(OUT + own, least, mask=inside)
+
+
+def states(
+    hexes: Hexes, x: Tensor, want: bool, ahead: Tensor | None = None, taken: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Energies (s, e) of cells at x (s, n, 3), inf where one is inverted; if wanted J (s, e, 8) at their points and
+    forces (s, e, 8, 3) on their corners. With J `ahead` and F `taken`: forces of elements.Hexes.mixed_forces."""
+    s, (e, _), mixed = len(x), hexes.topology.conn.shape, ahead is not None
+    energy, J = x.new_empty(s, e), x.new_empty((s, e, 8) if want else 0)
+    forces = x.new_empty((s, e, 8, 3) if want else 0)
+    given = (x, x) if ahead is None or taken is None else (ahead.contiguous(), taken.contiguous())
+    _states[_grid(s, e)](
+        x.contiguous(), hexes.topology.conn, hexes.B, hexes.weights, hexes.laws.values, hexes.numbers, *given, energy,
+        J, forces, e, x.shape[1], len(hexes.B), WANT=want, MIXED=mixed, SIZE=CELLS,
+    )  # fmt: skip
+    return energy, J, forces
+
+
+def predictions(hexes: Hexes, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
+    """J (s, e, 8) at positions `to` (s, n, 3) to first order from x, linearised at F `taken` (s, e, 8, 3, 3)."""
+    s, (e, _) = len(x), hexes.topology.conn.shape
+    out = x.new_empty(s, e, 8)
+    _predictions[_grid(s, e)](
+        x.contiguous(), to.contiguous(), hexes.topology.conn, hexes.B, hexes.numbers, taken.contiguous(), out,
+        e, x.shape[1],
+        len(hexes.B), SIZE=CELLS,
+    )  # fmt: skip
+    return out
+
+
+def lowest(topology: Topology, x: Tensor, rest: Tensor) -> Tensor:
+    """The lowest det(dx/dxi) of each cell (s, e) over that at rest (s, e, q), at the dense points of inversion."""
+    s, (e, _) = len(x), topology.conn.shape
+    out = x.new_empty(s, e)
+    _lowest[_grid(s, e)](
+        x.contiguous(), topology.conn, constant(DENSE, x), rest.contiguous(), out, e, x.shape[1], 0,
+        POINTS=len(DENSE), SIZE=CELLS,
+    )  # fmt: skip
+    return out
+
+
+def _grid(s: int, e: int) -> tuple[int, int]:
+    return s, triton.cdiv(e, CELLS)
