@@ -20,6 +20,8 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 export NUMBA_NUM_THREADS ?= 1
+# every process that a test starts would compile what it imports
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help sync check test test-slow smoke torture bench docs gallery demo data sample clean
 

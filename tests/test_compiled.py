@@ -181,6 +181,6 @@ def test_one_process_compiles_and_others_wait(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.parametrize("threads", ["0", "-1", "many"])
 def test_an_invalid_number_of_threads_means_one(threads: str):
     environment = {**os.environ, "NUMBA_NUM_THREADS": threads}
-    asked = "import tacgen.pipeline, numba; print(numba.get_num_threads())"
+    asked = "import tacgen, numba; print(numba.get_num_threads())"
     done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("1\n", "")

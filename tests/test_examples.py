@@ -45,6 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / "data"
 
 
+@pytest.mark.slow
 def test_the_script_writes_weights_scores_plot_and_table(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, SCRIPT, folder, "-o", tmp_path, "--seeds", "2", "--epochs", "1", "--workers", "1"]
     done = subprocess.run(

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -138,9 +139,20 @@ NOT_NUMPY = {
 }
 
 
+@cache
 def files() -> dict[str, Path]:
     """Every module by its name below the package: `pipeline`, `fem.elements`."""
     return {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+@cache
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(text_of(path))
 
 
 def imports(path: Path, hints: bool = False) -> list[tuple[str, bool]]:
@@ -158,7 +170,7 @@ def imports(path: Path, hints: bool = False) -> list[tuple[str, bool]]:
                 found.extend((loaded(child.module or "", alias.name), top) for alias in child.names)
             walk(child, top and not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda))
 
-    walk(ast.parse(path.read_text(encoding="utf-8")), True)
+    walk(tree(path), True)
     return list(dict.fromkeys(found))
 
 
@@ -175,26 +187,31 @@ def layer(module: str) -> str:
     return module.removeprefix("tacgen").lstrip(".").split(".")[0]
 
 
-@pytest.mark.parametrize("name", [name for name in files() if name != "__init__"])
-def test_imports_point_up_the_layers(name: str) -> None:
-    own = name.split(".")[0]
-    assert own in LAYERS, f"{own}: say in LAYERS where it stands"
-    for module, _ in imports(files()[name], hints=own in LIBRARIES):
-        if module.split(".")[0] != "tacgen" or (target := layer(module)) in ("", own):
+def test_imports_point_up_the_layers() -> None:
+    wrong = []
+    for name, path in files().items():
+        own = name.split(".")[0]
+        for module, _ in imports(path, hints=own in LIBRARIES):
+            if module.split(".")[0] != "tacgen" or (target := layer(module)) in ("", own):
+                continue
+            foreign = own in LIBRARIES and target not in LIBRARIES[own] | IN_HINTS.get(own, set())
+            if foreign or LAYERS.index(target) >= LAYERS.index(own):
+                wrong.append(f"{name} imports {module}")
+    assert wrong == []
+
+
+def test_libraries_need_numerics_only() -> None:
+    wrong = []
+    for name, path in files().items():
+        if (own := name.split(".")[0]) not in LIBRARIES:
             continue
-        assert LAYERS.index(target) < LAYERS.index(own), f"{name} imports {module}"
-        if own in LIBRARIES:
-            assert target in LIBRARIES[own] | IN_HINTS.get(own, set()), f"{name} imports {module}"
-
-
-@pytest.mark.parametrize("name", [n for n in files() if n.split(".")[0] in LIBRARIES])
-def test_libraries_need_numerics_only(name: str):
-    for module, _ in imports(files()[name]):
-        package = module.split(".")[0]
-        if package == "tacgen" and (target := layer(module)) not in ("", name.split(".")[0]):
-            assert target in LIBRARIES[name.split(".")[0]], f"{name} imports {module}"
-        known = package in sys.stdlib_module_names | ALLOWED_IN_LIBRARIES | {"tacgen"}
-        assert known or name in HOMES.get(package, ()), f"{name} imports {module}"
+        for module, _ in imports(path):
+            package, target = module.split(".")[0], layer(module)
+            allowed = sys.stdlib_module_names | ALLOWED_IN_LIBRARIES | {"tacgen"}
+            foreign = package == "tacgen" and target not in {"", own, *LIBRARIES[own]}
+            if foreign or (package not in allowed and name not in HOMES.get(package, ())):
+                wrong.append(f"{name} imports {module}")
+    assert wrong == []
 
 
 def test_the_key_of_compiled_code_covers_all_that_is_compiled_into_it():
@@ -202,34 +219,37 @@ def test_the_key_of_compiled_code_covers_all_that_is_compiled_into_it():
     from tacgen.compiled import PACKAGES
 
     for name, path in files().items():
-        if "@njit" in path.read_text(encoding="utf-8") or "@vectorize" in path.read_text(encoding="utf-8"):
+        if "@njit" in text_of(path) or "@vectorize" in text_of(path):
             ours = {layer(module) for module, top in imports(path) if module.startswith("tacgen.") and top}
             assert {name.split(".")[0], *ours} <= {*PACKAGES, "compiled", "array_cache", "errors"}, name
 
 
-@pytest.mark.parametrize("name", files())
-def test_heavy_packages_are_imported_in_their_modules_and_inside_functions(name: str):
-    for module, top in imports(files()[name]):
-        package = module.split(".")[0]
-        if package in HOMES:
-            assert name in HOMES[package], f"{name} imports {module}"
-            assert not top, f"{name} imports {module} at module level"
-        if package in ("numpy", "scipy", "numba") and name in NOT_NUMPY:
-            assert not top, f"{name} imports {module} at module level"
+def test_heavy_packages_are_imported_in_their_modules_and_inside_functions() -> None:
+    wrong = []
+    for name, path in files().items():
+        for module, top in imports(path):
+            package = module.split(".")[0]
+            if package in HOMES and name not in HOMES[package]:
+                wrong.append(f"{name} imports {module}")
+            if top and (package in HOMES or (package in ("numpy", "scipy", "numba") and name in NOT_NUMPY)):
+                wrong.append(f"{name} imports {module} at module level")
+    assert wrong == []
 
 
-@pytest.mark.parametrize("name", files())
-def test_only_the_tensor_engine_needs_pytorch_and_others_import_it_inside_functions(name: str):
-    inside = name.split(".")[0] == "tensor_engine"
-    for module, top in imports(files()[name]):
-        assert module.split(".")[0] != "torch" or (inside and name != "tensor_engine.__init__"), f"{name}: {module}"
-        if layer(module) == "tensor_engine" and module.startswith("tacgen"):
-            assert inside or not top, f"{name} imports {module} at module level"
+def test_only_the_tensor_engine_needs_pytorch_and_others_import_it_inside_functions() -> None:
+    wrong = []
+    for name, path in files().items():
+        inside = name.split(".")[0] == "tensor_engine"
+        for module, top in imports(path):
+            if module.split(".")[0] == "torch" and (not inside or name == "tensor_engine.__init__"):
+                wrong.append(f"{name} imports {module}")
+            if layer(module) == "tensor_engine" and module.startswith("tacgen") and top and not inside:
+                wrong.append(f"{name} imports {module} at module level")
+    assert wrong == []
 
 
-@pytest.mark.parametrize("name", files())
-def test_a_file_is_one_idea(name: str):
-    assert len(files()[name].read_text(encoding="utf-8").splitlines()) <= 400
+def test_a_file_is_one_idea() -> None:
+    assert [name for name, path in files().items() if len(text_of(path).splitlines()) > 400] == []
 
 
 def loaded_by(code: str) -> set[str]:
@@ -280,9 +300,10 @@ def test_the_check_sees_a_bad_import(tmp_path: Path):
     bad = tmp_path / "bad.py"
     bad.write_text("import mitsuba\ndef f():\n    from tacgen import cli\n    import h5py\n")
     assert imports(bad) == [("mitsuba", True), ("tacgen.cli", False), ("h5py", False)]
-    bad.write_text("from tacgen.mechanics import State, states, presolve\nfrom tacgen import __version__\n")
-    assert imports(bad) == [("tacgen.mechanics", True), ("tacgen.mechanics.presolve", True), ("tacgen", True)]
-    assert [layer(module) for module, _ in imports(bad)] == ["mechanics", "mechanics", ""]
+    other = tmp_path / "other.py"
+    other.write_text("from tacgen.mechanics import State, states, presolve\nfrom tacgen import __version__\n")
+    assert imports(other) == [("tacgen.mechanics", True), ("tacgen.mechanics.presolve", True), ("tacgen", True)]
+    assert [layer(module) for module, _ in imports(other)] == ["mechanics", "mechanics", ""]
 
 
 def test_every_layer_is_there() -> None:
@@ -291,16 +312,16 @@ def test_every_layer_is_there() -> None:
 
 
 def test_no_two_public_classes_share_a_name() -> None:
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files().values()]
-    names = [node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)]
+    names = [node.name for path in files().values() for node in tree(path).body if isinstance(node, ast.ClassDef)]
     assert [name for name in names if names.count(name) > 1 and not name.startswith("_")] == []
 
 
-@pytest.mark.parametrize("name", files())
-def test_a_docstring_stands_alone(name: str):
+def test_a_docstring_stands_alone() -> None:
     """It says what the thing is: no reader has read the one above."""
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    nodes = [node for node in ast.walk(ast.parse(files()[name].read_text(encoding="utf-8"))) if isinstance(node, kinds)]
-    begun = [text for node in nodes if (text := ast.get_docstring(node) or "")]
-    wrong = [text.splitlines()[0] for text in begun if text.startswith(("The same", "Those", "What ", "Of "))]
+    wrong = []
+    for name, path in files().items():
+        nodes = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef))
+        begun = [text for node in nodes if (text := ast.get_docstring(node) or "")]
+        unclear = ("The same", "Those", "What ", "Of ")
+        wrong += [f"{name}: {text.splitlines()[0]}" for text in begun if text.startswith(unclear)]
     assert wrong == []

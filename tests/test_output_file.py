@@ -1,6 +1,7 @@
 """What a command writes with -o never replaces an input, a file of somebody's, a pipe or a device."""
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -19,12 +20,17 @@ def command(*args: object) -> tuple[int, str]:
     return done.exit_code, done.stderr
 
 
-@pytest.fixture
-def data(tmp_path: Path) -> Path:
-    folder = tmp_path / "data"
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("source")
     for number in range(2):
-        write(folder / f"scene-{number:05d}.h5", scene_index=number)
+        write(folder / f"scene-{number:05d}.h5", frames=3, scene_index=number)
     return folder
+
+
+@pytest.fixture
+def data(source: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(source, tmp_path / "data")
 
 
 @pytest.mark.parametrize("more", [(), ("--overwrite",)])

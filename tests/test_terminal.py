@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from helpers.scenes import make_plan
+from helpers.scenes import make, make_plan
+
+from tacgen.bundle.check import check
 
 ROOT = Path(__file__).parent.parent
 PROGRAM = """
@@ -45,11 +47,10 @@ def test_a_run_goes_on_when_nobody_reads_what_it_prints(tmp_path: Path, streams:
     assert shell(tmp_path, f"TACGEN run many.yaml -o out --set vary.samples=3 {streams}") == code
     assert len(list((tmp_path / "out").glob("scene-*.h5"))) == 3
     assert (tmp_path / "out" / "README.md").read_text().startswith("# many")
-    assert shell(tmp_path, "TACGEN check out >/dev/null") == 0
+    assert check(tmp_path / "out") == []
 
 
 def test_results_that_nobody_gets_are_no_success(tmp_path: Path) -> None:
-    make_plan(tmp_path)
-    shell(tmp_path, "TACGEN run many.yaml -o out --set vary.samples=1 2>/dev/null >/dev/null")
+    make(make_plan(tmp_path, 1).rows[0], tmp_path / "out")
     assert shell(tmp_path, "TACGEN show out >/dev/full 2>said") == 2
     assert "No space left" in (tmp_path / "said").read_text()

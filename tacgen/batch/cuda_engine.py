@@ -26,7 +26,6 @@ from tacgen.batch.worker_process import Limits
 from tacgen.bundle import resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
-from tacgen.mechanics import presolve
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe.row import Row
@@ -220,6 +219,7 @@ def _solve_all(
 
 def _planned(numbered: tuple[int, Row]) -> "Planned":
     """A row's scene with its pattern; one with forces on its coarse mesh, which comes first."""
+    from tacgen.mechanics import presolve
     from tacgen.tensor_engine.pool import Planned
 
     number, row = numbered
@@ -249,6 +249,7 @@ def _solutions(
     rows: Mapping[int, Row], plans: Sequence["Planned"], device: str, memory: float
 ) -> Iterator[tuple[int, "Solved", Sequence[float]]]:
     """Solutions of some rows by their numbers, with the heights that presolve found."""
+    from tacgen.mechanics import presolve
     from tacgen.tensor_engine import pool
 
     rough = {plan.number for plan in plans if plan.scene and plan.scene.forced}

@@ -137,7 +137,7 @@ class Comparison:
 
     def net(self, presses: Sequence[PhotographedPress]) -> NormalNet:
         """A network trained on rendered dents with the camera's noise, at least as deep as presses."""
-        return learned(self.dents(self.deepest(presses)))
+        return learned(self.dents(self.deepest(presses), DENTS))
 
     def deepest(self, presses: Sequence[PhotographedPress]) -> float:
         """Contact radius over the ball's that dents reach which stand for presses."""
@@ -168,7 +168,7 @@ class Comparison:
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])), each,
         )  # fmt: skip
 
-    def dents(self, deepest: float, count: int = DENTS, seed: int = 0) -> Iterator[PictureOfPress]:
+    def dents(self, deepest: float, count: int, seed: int = 0) -> Iterator[PictureOfPress]:
         """Rendered dents of balls of random size and place with the camera's noise; `deepest`: largest contact radius
         over the ball's."""
         random, camera = np.random.default_rng(seed), PinholeCamera.from_sensor(self.sensor)

@@ -60,7 +60,7 @@ class GelBody(Pad):
         """Vertices (n, 3) and triangles (m, 3) of the closed surface, oriented outward, and the triangles of each
         interface between layers. On a dome edges are about `step` long; for `sag` see outline. Both are relative to the
         longer side."""
-        from scipy.spatial import Delaunay
+        from scipy.spatial import Delaunay, cKDTree
 
         step, rim = step * self.side, self.outline(sag * self.side)
         if not self.flat:
@@ -69,7 +69,7 @@ class GelBody(Pad):
         if not self.flat:
             x, y = (np.linspace(-s / 2, s / 2, int(np.ceil(s / step)) + 1) for s in (self.width, self.height))
             grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-            far = np.abs(grid[:, None] - rim).max(-1).min(1) > step / 2
+            far = cKDTree(rim).query(grid, p=np.inf)[0] > step / 2
             xy = np.concatenate([rim, grid[self.contains(*(grid * 1.02).T) & far]])
         flat = Delaunay(xy).simplices
         a, b, c = xy[flat[:, 0]], xy[flat[:, 1]], xy[flat[:, 2]]

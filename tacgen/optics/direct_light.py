@@ -1,5 +1,6 @@
 """The camera's image by direct light and its reflection in the plate, without sampling noise."""
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +41,9 @@ class Direct:
         self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
         self.view = CameraView(sensor, sheet, markers, samples)
         self._untouched = heights(sheet, sheet.at(untouched))
-        self._columns = Columns.of(sensor, pieces, Terrain.of(self._untouched, sheet.size))
+        leds = tuple(led.model_copy(update={"radiance": (1.0, 1.0, 1.0), "power": 1.0}) for led in sensor.leds)
+        lamps = sensor.model_copy(update={"leds": leds, "markers": None})
+        self._columns = _columns(lamps, sheet, untouched, pieces)  # type: ignore[arg-type]
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
@@ -91,6 +94,12 @@ class Direct:
     def radiance(self, surface: Surface) -> "Floats":
         """Linear radiance (H, W, 3) of a deformed face."""
         return self.seen(self.view.look(surface))
+
+
+@lru_cache(maxsize=1)
+def _columns(sensor: "LitSensor", sheet: Sheet, untouched: Surface, pieces: int) -> Columns:
+    """Sensors that differ in radiance or markers share it, as in a calibration."""
+    return Columns.of(sensor, pieces, Terrain.of(heights(sheet, sheet.at(untouched)), sheet.size))
 
 
 def heights(sheet: Sheet, nodes: "Floats") -> "Floats":

@@ -45,11 +45,12 @@ def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
     """Points of the unit cube (n, d), one for each scene."""
     import numpy as np
     from numpy.random import SeedSequence, default_rng
-    from scipy.stats import qmc
 
     design = vary.design
     if design == "random":
         return np.array([default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices])
+    from scipy.stats import qmc  # half a second to import
+
     rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
     if design == "lhs":  # each point depends on all others: draw them all
         few = (vary.samples or 0) <= FEW  # optimised, so that columns hardly correlate; too slow for many

@@ -19,6 +19,7 @@ from tacgen.recipe import plan
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
 
+pytestmark = pytest.mark.usefixtures("kept_workers")
 TWO = """vary: {samples: 2, seed: 1, over: {indenter.radius_mm: {uniform: [2.5, 3.5]}}}
 contact: {friction: 0.4}
 """

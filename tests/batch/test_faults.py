@@ -89,6 +89,7 @@ def test_a_run_takes_over_what_another_one_dies_of(tmp_path: Path):
     assert leftovers(out) == []
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_truncated_and_flipped_bundles_are_found_and_made_again(tmp_path: Path):
     out = tmp_path / "out"
     run(out)

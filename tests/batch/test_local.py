@@ -54,6 +54,7 @@ def test_freed_memory_is_returned_to_the_system():
     assert len(blocks) == 50
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_shards_on_any_number_of_workers_give_what_one_process_gives(tmp_path: Path):
     serial = tmp_path / "serial"
     for row in make_plan(tmp_path).rows:
@@ -173,6 +174,7 @@ def test_a_scene_with_maps_or_pictures_gets_help_with_compiling(tmp_path: Path, 
     assert (tmp_path / "helped").read_text() == row.name
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_a_larger_plan_keeps_what_is_there_and_another_recipe_is_refused(tmp_path: Path):
     out = tmp_path / "out"
     run(out, samples=2)
@@ -185,6 +187,7 @@ def test_a_larger_plan_keeps_what_is_there_and_another_recipe_is_refused(tmp_pat
     assert batch.run(changed, out, task=TASK, overwrite=True)[0].seconds
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_plans_of_another_division_are_replaced(tmp_path: Path):
     out = tmp_path / "out"
     run(out, samples=4, shard=(1, 2))
@@ -194,6 +197,7 @@ def test_plans_of_another_division_are_replaced(tmp_path: Path):
     assert survey(out).count() == {"ok": 4}
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_a_journal_line_cut_short_is_passed_over(tmp_path: Path):
     out = tmp_path / "out"
     run(out, samples=1)
@@ -204,6 +208,7 @@ def test_a_journal_line_cut_short_is_passed_over(tmp_path: Path):
     assert [event.event for event in read_journal(out)] == whole
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_a_bundle_that_only_a_newer_tacgen_reads_is_not_written_over(tmp_path: Path):
     import h5py
 
@@ -217,6 +222,7 @@ def test_a_bundle_that_only_a_newer_tacgen_reads_is_not_written_over(tmp_path: P
     assert (out / "scene-00000.h5").read_bytes() == before
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
     from tacgen import atomic_file
 

@@ -17,6 +17,7 @@ from tacgen.recipe import plan
 from tacgen.report import dataset_card, dataset_summary
 from tacgen.torch import TactileDataset
 
+pytestmark = pytest.mark.usefixtures("kept_workers")
 THEIRS = {
     "plan_b.json": "{}",
     "planning.json": "a",

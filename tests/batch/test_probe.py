@@ -10,6 +10,7 @@ from tacgen.batch import probe, worker_process
 from tacgen.errors import UserError
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_a_few_scenes_judge_all(tmp_path: Path):
     found = probe.probe(make_plan(tmp_path, 40), 2, TASK)
     assert found.cost.judged_by == probe.SCENES
@@ -19,6 +20,7 @@ def test_a_few_scenes_judge_all(tmp_path: Path):
     assert size.low <= size.expected <= size.high < 0.1
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_where_no_scene_can_be_made_that_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     class Spoilt(probe.TemporaryDirectory):  # type: ignore[type-arg]
         def __enter__(self) -> str:

@@ -236,10 +236,10 @@ def test_chosen_pixels_stand_for_the_picture() -> None:
     assert decibel(picture, [truth, truth], camera, noisy=False) == only
 
 
-SLOW = {"mechanics", "ordinary", "pipeline", "pay", "optics", "real", "load"}  # several scenes or processes each
+QUICK = {"peers"}  # the others take several scenes or processes each
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in bench.BENCHES])
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in bench.BENCHES])
 def test_each_runs(name: str, tmp_path: Path) -> None:
     told = runner.invoke(app, ["bench", name, "--smoke", "-o", str(tmp_path)])
     assert told.exit_code == 0, told.stderr

@@ -8,7 +8,7 @@ from helpers.tiny import sensor
 
 from benchmarks import mini_units, normal_errors
 from benchmarks.mini_units import MiniUnit
-from tacgen.calibrate import normal_net
+from tacgen.calibrate import likeness, normal_net
 from tacgen.calibrate.likeness import Comparison, PictureOfPress, circle
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.photos import PhotographedPress
@@ -58,6 +58,14 @@ def test_dots_are_not_smoothed_into_what_is_seen() -> None:
     assert seen.features[:, :3] * normal_net.COUNTS == pytest.approx(20.0)
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One network learns from few dents, in few steps."""
+    monkeypatch.setattr(likeness, "DENTS", 60)
+    monkeypatch.setattr(normal_net, "STEPS", 60)
+    monkeypatch.setattr(normal_net, "MEMBERS", 1)
+
+
 @pytest.fixture(scope="module")
 def unit() -> MiniUnit:
     """Photographs of the sensor itself."""
@@ -70,9 +78,7 @@ def unit() -> MiniUnit:
     return MiniUnit("another", compared.flat, presses, tuple(np.zeros(SHAPE, bool) for _ in presses))
 
 
-def test_a_wrong_file_is_told_from_noise(unit: MiniUnit, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(normal_net, "STEPS", 60)
-    monkeypatch.setattr(normal_net, "MEMBERS", 1)
+def test_a_wrong_file_is_told_from_noise(unit: MiniUnit) -> None:
     one = tiny()
     clean, noisy, grainy, found, moved, real, *_ = normal_errors.sources(one, unit)
     assert grainy is found is moved is None  # known of the Minis alone
@@ -85,8 +91,6 @@ def test_a_wrong_file_is_told_from_noise(unit: MiniUnit, monkeypatch: pytest.Mon
 
 
 def test_grain_and_circles_are_sources_of_a_mini(unit: MiniUnit, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(normal_net, "STEPS", 60)
-    monkeypatch.setattr(normal_net, "MEMBERS", 1)
     monkeypatch.setattr(normal_errors.real_grain, "fitted", lambda power: (5.0, 1.0))
     one = tiny()
     cells = normal_errors.sources(one, replace(unit, name="gelsight_mini"))

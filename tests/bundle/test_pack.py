@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -21,13 +22,18 @@ from tacgen.report import dataset_summary
 COUNT = 5
 
 
-@pytest.fixture
-def loose(tmp_path: Path) -> Path:
-    folder = tmp_path / "loose"
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("source")
     for i in range(COUNT):
         write(folder / f"scene-{i:05d}.h5", scene_index=i, seed=i, values={"start.x_mm": i / 10})
     write(folder / "scene-00009.h5", stop=3)
     return folder
+
+
+@pytest.fixture
+def loose(source: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(source, tmp_path / "loose")
 
 
 def packed(loose: Path, size_mb: float = 0.2) -> Path:

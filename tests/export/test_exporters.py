@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from helpers.export_scenes import FRAMES, SHAPE, real
+from helpers.export_scenes import FRAMES, SENSOR, SHAPE, real
 from helpers.synthetic import OUTPUTS, attributes, frame, image, states, write
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -398,13 +398,25 @@ def test_lerobot_depth_stays_within_the_15_bits_that_its_reader_gives(tmp_path: 
     assert picture[3, 4] == picture.max() == 2**15 - 1
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of two scenes: `short` ones, and `long` ones for Sparsh."""
+    out = tmp_path_factory.mktemp("few")
+    for name, frames in (("short", 2), ("long", 6)):
+        for i in range(2):
+            known = {"scene_index": i, "sensor_document": SENSOR}
+            write(out / name / f"scene-{i:05d}.h5", shape=SHAPE, outputs=OUTPUTS, frames=frames, edit=real, **known)
+    return out
+
+
 @pytest.mark.parametrize("kind", ["feats", "lerobot", "univtac", "webdataset", "sparsh", "feelanyforce", "zarr"])
 def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacking(
-    folder: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+    few: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ):
     pytest.importorskip("zarr" if kind == "zarr" else "numpy")
-    packed = pack.pack(dataset.scenes(folder), tmp_path / "packed").folder
-    loose = [path.read_bytes() for path in export.export(kind, folder, tmp_path / "a")]
+    few = few / ("long" if kind == "sparsh" else "short")
+    packed = pack.pack(dataset.scenes(few), tmp_path / "packed").folder
+    loose = [path.read_bytes() for path in export.export(kind, few, tmp_path / "a")]
     assert [path.read_bytes() for path in export.export(kind, packed, tmp_path / "b")] == loose
 
     bad = tmp_path / "bad" / "scene-00000.h5"
@@ -417,7 +429,7 @@ def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacki
         assert len(caught.value.lines) == 1
         return caught.value.lines[0].removeprefix(str(bad))
 
-    good = bytearray((folder / "scene-00000.h5").read_bytes())
+    good = bytearray((few / "scene-00000.h5").read_bytes())
     assert refused(bytes(good[: len(good) // 2])).startswith(": damaged or cut short")
     good[len(good) // 2] ^= 16
     assert ": damaged" in refused(bytes(good))

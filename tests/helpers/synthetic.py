@@ -1,6 +1,8 @@
 """Bundles that look like a ball pressed, slid and twisted on a gel, made in milliseconds from closed formulas."""
 
 from collections.abc import Callable
+from copy import deepcopy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +57,11 @@ def states() -> list[tuple[int, float, float, float]]:
 
 def frame(state: tuple[int, float, float, float], shape: tuple[int, int], outputs: frozenset[str]) -> dict[str, Any]:
     """One frame of a Hertz-like contact: image of `shape` (H, W), maps of a quarter of it."""
+    return deepcopy(_frame(state, shape, outputs))
+
+
+@cache
+def _frame(state: tuple[int, float, float, float], shape: tuple[int, int], outputs: frozenset[str]) -> dict[str, Any]:
     segment, depth, x, angle = state
     out: dict[str, Any] = {"/frames/segment": segment, "/frames/pose": pose(depth, x, angle)}
     normal = 1.2 * depth**1.5
@@ -134,21 +141,27 @@ def image(shape: tuple[int, int], x: float, depth: float, flow: np.ndarray | flo
     return np.clip((colour + inside * dent) * dots[..., None] + noise, 0, 255).astype(np.uint8)
 
 
+@cache
+def _untouched(shape: tuple[int, int]) -> np.ndarray:
+    return image(shape, 0.0, 0.0, 0.0)
+
+
 def write(
     path: Path,
     *,
     outputs: frozenset[str] = OUTPUTS,
     shape: tuple[int, int] = (48, 64),
+    frames: int | None = None,
     stop: int | None = None,
     edit: Callable[[int, dict[str, Any]], None] | None = None,
     reference_height: np.ndarray | None = None,
     **changes: Any,
 ) -> Path:
-    """Write a bundle. `edit(index, arrays)` may spoil a frame; `stop` rejects the scene at that frame."""
-    rows = states()
+    """Write a bundle of the first `frames`. `edit(index, arrays)` may spoil one; `stop` rejects the scene there."""
+    rows = states()[:frames]
     with Writer(path, attributes(**changes), frames=len(rows)) as writer:
         if "rgb" in outputs:
-            writer.put("/reference/rgb", image(shape, 0.0, 0.0, 0.0))
+            writer.put("/reference/rgb", _untouched(shape))
         if "markers" in outputs:
             writer.put("/reference/markers", marker_grid(shape))
         if "height" in outputs:

@@ -40,8 +40,8 @@ def test_variance_is_shot_times_signal_plus_read_squared(level: float) -> None:
     made = np.vectorize(noisy)(level, GRAIN.shot, GRAIN.read, 1.0, normal) - level
     assert made.var(axis=(0, 1)) == pytest.approx(np.array(GRAIN.shot) * level + np.square(GRAIN.read), rel=0.03)
     assert np.abs(made.mean(axis=(0, 1))).max() < 4 * made.std() / 346
-    twice = np.vectorize(noisy)(level, GRAIN.shot, GRAIN.read, 2.0, normal) - level
-    assert twice == pytest.approx(2 * made)
+    twice = np.vectorize(noisy)(level, GRAIN.shot, GRAIN.read, 2.0, normal[:20]) - level
+    assert twice == pytest.approx(2 * made[:20])
 
 
 def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:

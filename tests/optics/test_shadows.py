@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.tiny import PLAIN, sensor
 
-from tacgen.optics import strip_light
+from tacgen.optics import strip_light, strip_light_table
 from tacgen.optics.direct_light import Direct, heights
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.shadows import Terrain, horizon
@@ -121,3 +121,22 @@ def test_only_what_has_drawn_back_shades_anew():
     assert old < 0.9 * new < 0.0
     assert whole == min(old, new)
     assert horizon(Terrain.of(before, (10.0, 10.0), before), *ray) == EVER[1]
+
+
+def test_sensors_that_differ_in_radiance_or_dots_share_a_table_and_others_do_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made, usual = [], strip_light_table.Columns.of
+    monkeypatch.setattr(strip_light_table.Columns, "of", lambda *asked: made.append(asked) or usual(*asked))
+    file = sensor()
+    sheet, untouched = Sheet.over(file.gel, 0.5), Untouched.of(file.gel)
+    bright = tuple(led.model_copy(update={"power": 2.0}) for led in file.leds)
+    moved = tuple(led.model_copy(update={"center_mm": (*led.center_mm[:2], -1.0)}) for led in file.leds)
+    changes = {}, {"leds": bright}, {"markers": None}, {"leds": moved}
+    plain, twice, bare, other = (
+        Direct(file.model_copy(update=change), sheet, False, untouched).radiance(untouched) for change in changes
+    )
+    assert len(made) == 2
+    assert twice == pytest.approx(2 * plain, rel=1e-12)
+    assert np.array_equal(bare, plain)
+    assert np.abs(other - plain).max() > 0.01 * plain.max()

@@ -72,6 +72,7 @@ def test_a_block_slips_below_half_its_weight_over_friction(tmp_path: Path) -> No
     assert sunk == pytest.approx([-0.4, -0.4])  # fall_mm a frame
 
 
+@pytest.mark.slow
 def test_what_friction_cannot_lift_stays_on_the_table(tmp_path: Path) -> None:
     frames = found(tmp_path, BLOCK, "close: {force_n: 0.2, frames: 1}", "lift: {height_mm: 1, frames: 2}")
     assert [frame.mode for frame in frames] == [Mode.standing] * 3

@@ -44,6 +44,7 @@ def both(shape: Shape, path: Path3, **how: object) -> tuple[Run, Run]:
     return one, other
 
 
+@pytest.mark.slow
 def test_a_pressed_and_slid_ball_gives_the_same_force() -> None:
     path = [(-0.4, 0.0, -0.6), (-0.2, 0.0, -0.6), (0.0, 0.0, -0.6), (0.0, 0.0, -0.6), (0.0, 0.0, 0.3)]
     one, other = both(SphereSdf(3.0), path, friction=0.4, half=2.4, edge=0.48, dhat=0.04)

@@ -69,14 +69,12 @@ def test_photograph_and_noise_on_every_sensor(
     def made(name: str, *more: str) -> bundle.Bundle:
         return bundle.read(pipeline.run_scene(plan.load(recipe, (*sets, *more)).rows[0], recipe.parent / name).path)
 
-    over, plain, grainy = made("over"), made("plain", "render.background=null"), made("grainy", "render.noise=true")
-    flat = plain["/reference/rgb"]
+    over, grainy = made("over"), made("grainy", "render.noise=true")
     assert np.array_equal(over["/reference/rgb"], mine)  # also where few paths found no light
     changed = np.abs(over["/frames/rgb"][0].astype(int) - mine).max(-1)
     assert changed.max() > 8
     if method == "transport":
         assert np.median(changed) <= 2  # the press is small, and elsewhere it is the photograph
-    assert flat.std() > 3
     grain = grainy["/frames/rgb"][0].astype(float) - over["/frames/rgb"][0]
     if sensor == "ninedtact":
         assert not grain.any()  # nobody has published how much it has
