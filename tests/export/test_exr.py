@@ -15,6 +15,7 @@ from tacgen.errors import UserError
 from tacgen.export import export
 from tacgen.export.exr import write
 from tacgen.optics import camera_response
+from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import plan
 
 OpenEXR = pytest.importorskip("OpenEXR")
@@ -40,8 +41,10 @@ def test_every_channel_comes_back(tmp_path: Path) -> None:
     assert np.array_equal(rest, scene["/frames/material"][0])
     middle = np.array(row.sensor.camera.crop_mm)
     assert rest[24, 32] == pytest.approx(middle + 0.15, abs=0.05)  # the pixel right of and below the middle
-    # the camera's scale holds on its axis; refraction in the thick plate makes it 3 % smaller at the edge
-    assert rest[24, 63, 0] - middle[0] == pytest.approx(31.5 * 0.317, rel=0.04)
+    # the camera's scale holds on its axis; refraction in the thick plate makes it 5 % smaller at the edge
+    assert 0.93 < (rest[24, 63, 0] - middle[0]) / (31.5 * 0.317) < 0.96
+    camera = PinholeCamera.from_sensor(row.sensor)
+    assert camera.project([[*rest[24, 63], 0.0]])[0] == pytest.approx([63.5, 24.5], abs=0.05)  # linear between nodes
 
 
 def test_a_bundle_without_radiance_is_refused(tmp_path: Path) -> None:
