@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from helpers.synthetic import write
+from tacgen import atomic_file
 from tacgen.bundle import resume
 from tacgen.errors import UserError
 from tacgen.recipe import plan
@@ -31,7 +32,7 @@ vary: {method: random, samples: 8, over: {start.x_mm: {uniform: [-3, 3]}}}
 def make_plan(folder: Path, samples: int = 8, shard: tuple[int, int] = (0, 1), outputs: str = "[force]") -> plan.Plan:
     path = folder / "many.yaml"
     if not path.exists():  # other processes of the torture read it
-        path.write_text(RECIPE)
+        atomic_file.write(path, RECIPE.encode())
     return plan.load(path, [f"vary.samples={samples}", f"outputs={outputs}"], shard)
 
 
