@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit  # the quantile of Student's t
 
 from tacgen.calibrate.likeness import ChangeLikeness, Likeness
 from tacgen.calibrate.photos import PhotographedPress
@@ -14,7 +13,6 @@ from tacgen.sensor.model import LitSensor
 Array = np.ndarray
 EACH = 5  # up to so many presses each is left out once
 EVERY = 3  # of more, every third is held out
-SURE = 0.95  # probability with which a gain must be one
 
 
 def folds(presses: int) -> list[list[int]]:
@@ -45,11 +43,13 @@ class Unseen:
 
     @property
     def better(self) -> bool:
-        """Whether the fit helps: neither the counts nor, where they are known, the errors of normals rise in the mean,
-        and one of the two falls surely: its mean gain is above 0 in 95 % of samples (Student's t)."""
-        scores = [self.counts] if self.degrees is None else [self.counts, self.degrees]
-        gains = [before - after for before, after in scores]
-        return all(gain.mean() >= 0 for gain in gains) and any(map(_sure, gains))
+        """Whether the fit helps: the mean gain exceeds its standard error, of normals where they are known, else of
+        counts, and the counts do not rise."""
+        judged = self.counts if self.degrees is None else self.degrees
+        gain = judged[0] - judged[1]
+        error = gain.std(ddof=1) / np.sqrt(len(gain))
+        before, after = self.counts.mean(axis=1)
+        return bool(gain.mean() > error and after <= before)
 
     def __str__(self) -> str:
         parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]
@@ -67,12 +67,6 @@ class Unseen:
             "degrees": None if self.degrees is None else self.degrees.tolist(),
             "likeness": [like.plain() for like in self.likeness or ()],
         }  # fmt: skip
-
-
-def _sure(gain: Array) -> bool:
-    """Whether the mean of gains (n,) is hardly above 0 by chance."""
-    error = gain.std(ddof=1) / np.sqrt(len(gain))
-    return bool(gain.mean() > stdtrit(len(gain) - 1, SURE) * error)
 
 
 def _change(scores: Array, unit: str) -> str:
