@@ -1,6 +1,7 @@
 """The measure of how well rendered presses stand for real ones: it finds what was done to them."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -100,16 +101,20 @@ def test_noise_in_training_makes_the_network_smooth(monkeypatch):
     assert learnt(10.0) == pytest.approx(np.exp(-((2 * np.pi * 10 / 60) ** 2) / 2), abs=0.1)
 
 
-def test_several_networks_agree_better_than_single_ones(compared, monkeypatch):
-    """The mean of members depends less on their starts: two halves of four differ less than two members."""
+def test_the_mean_of_several_networks_depends_less_on_their_starts(compared, monkeypatch):
+    """Of four members that differ: the squared difference of two halves, over all halves, is half that of two."""
     monkeypatch.setattr(normal_net, "MEMBERS", 4)
     dents = list(compared.dents(0.75, 20))
     net, features = likeness.learned(dents), dents[0].features
-    one, *others = (normal_net.NormalNet(net.members[k:][:1]).normals(features) for k in range(4))
-    halves = [normal_net.NormalNet(net.members[k:][:2]).normals(features) for k in (0, 2)]
-    assert net.normals(features) == pytest.approx((one + sum(others)) / 4)
-    single = np.mean([normal_net.degrees_apart(one, other).mean() for other in others])
-    assert 0 < normal_net.degrees_apart(*halves).mean() < single
+
+    def normals(*numbers: int):
+        return normal_net.NormalNet(tuple(net.members[k] for k in numbers)).normals(features)
+
+    assert net.normals(features) == pytest.approx(sum(map(normals, range(4))) / 4, abs=1e-6)
+    pairs = [np.mean((normals(i) - normals(j)) ** 2) for i, j in combinations(range(4), 2)]
+    halves = [np.mean((normals(0, i) - normals(*{1, 2, 3} - {i})) ** 2) for i in (1, 2, 3)]
+    assert min(pairs) > 0
+    assert np.mean(halves) == pytest.approx(np.mean(pairs) / 2, rel=1e-3)
 
 
 def test_changes_are_smoothed_and_places_are_not():
