@@ -74,8 +74,33 @@ def _turned(T, p, q, r, bx, by, bz):
 
 
 @triton.jit
-def law(LAWS, number, at, capacity, cells, inside):
-    return tl.load(LAWS + number * capacity * cells + at, mask=inside, other=0.0)
+def cofactor(a, b, c, d, f, g, h, i, j):
+    """The cofactor of matrices whose entries are given row by row, and returned so."""
+    ca, cb, cc = cross(d, f, g, h, i, j)
+    cd, cf, cg = cross(h, i, j, a, b, c)
+    ch, ci, cj = cross(a, b, c, d, f, g)
+    return ca, cb, cc, cd, cf, cg, ch, ci, cj
+
+
+@triton.jit
+def law(LAWS, at, count, inside):
+    """The eight numbers of laws.NUMBERS of cells `at`, of which there are so many."""
+    return (
+        tl.load(LAWS + at, mask=inside, other=0.0), tl.load(LAWS + count + at, mask=inside, other=0.0),
+        tl.load(LAWS + 2 * count + at, mask=inside, other=0.0), tl.load(LAWS + 3 * count + at, mask=inside, other=0.0),
+        tl.load(LAWS + 4 * count + at, mask=inside, other=0.0), tl.load(LAWS + 5 * count + at, mask=inside, other=0.0),
+        tl.load(LAWS + 6 * count + at, mask=inside, other=0.0), tl.load(LAWS + 7 * count + at, mask=inside, other=0.0),
+    )  # fmt: skip
+
+
+@triton.jit
+def _matrix(T, inside):
+    """The nine entries of matrices that begin at T."""
+    return (
+        tl.load(T, mask=inside), tl.load(T + 1, mask=inside), tl.load(T + 2, mask=inside),
+        tl.load(T + 3, mask=inside), tl.load(T + 4, mask=inside), tl.load(T + 5, mask=inside),
+        tl.load(T + 6, mask=inside), tl.load(T + 7, mask=inside), tl.load(T + 8, mask=inside),
+    )  # fmt: skip
 
 
 @triton.jit
@@ -113,10 +138,7 @@ def _states(
     void = total <= 0
     volume = tl.where(void, 1.0, total)
     mean = tl.where(void, 1.0, mean / volume)
-    c10, c01 = law(LAWS, 0, first, capacity, cells, inside), law(LAWS, 1, first, capacity, cells, inside)
-    c20, c30 = law(LAWS, 2, first, capacity, cells, inside), law(LAWS, 3, first, capacity, cells, inside)
-    raw, kappa = law(LAWS, 4, first, capacity, cells, inside), law(LAWS, 5, first, capacity, cells, inside)
-    lam, slope = law(LAWS, 6, first, capacity, cells, inside), law(LAWS, 7, first, capacity, cells, inside)
+    c10, c01, c20, c30, raw, kappa, lam, slope = law(LAWS, first, capacity.to(tl.int64) * cells, inside)
     e = mean - 1
     energy = total * (kappa / 2 * (e + e * e / 2 - _log1p(e)) + lam / 2 * e * e - slope * e)
     pressure = kappa / 2 * (mean - 1 / mean) + lam * e - slope
@@ -132,9 +154,7 @@ def _states(
         a, b, c = _row(x, bx, by, bz)
         d, f, g = _row(y, bx, by, bz)
         h, i, j = _row(z, bx, by, bz)
-        ca, cb, cc = cross(d, f, g, h, i, j)
-        cd, cf, cg = cross(h, i, j, a, b, c)
-        ch, ci, cj = cross(a, b, c, d, f, g)
+        ca, cb, cc, cd, cf, cg, ch, ci, cj = cofactor(a, b, c, d, f, g, h, i, j)
         J = a * ca + b * cb + c * cc
         J = tl.where(J > LEAST, J, 1.0)
         I1 = a * a + b * b + c * c + d * d + f * f + g * g + h * h + i * i + j * j
@@ -157,14 +177,9 @@ def _states(
             kh, ki, kj = ch, ci, cj
             r = 0 * w
             if MIXED:  # the pressure that the prediction lacks acts on the cofactor of the last tangent
-                T, r = TAKEN + 9 * (8 * own + k), -w * change
-                ka, kb, kc = tl.load(T, mask=inside), tl.load(T + 1, mask=inside), tl.load(T + 2, mask=inside)
-                kd, kf, kg = tl.load(T + 3, mask=inside), tl.load(T + 4, mask=inside), tl.load(T + 5, mask=inside)
-                kh, ki, kj = tl.load(T + 6, mask=inside), tl.load(T + 7, mask=inside), tl.load(T + 8, mask=inside)
-                ta, tb, tc = cross(kd, kf, kg, kh, ki, kj)
-                td, tf, tg = cross(kh, ki, kj, ka, kb, kc)
-                th, ti, tj = cross(ka, kb, kc, kd, kf, kg)
-                ka, kb, kc, kd, kf, kg, kh, ki, kj = ta, tb, tc, td, tf, tg, th, ti, tj
+                r = -w * change
+                ta, tb, tc, td, tf, tg, th, ti, tj = _matrix(TAKEN + 9 * (8 * own + k), inside)
+                ka, kb, kc, kd, kf, kg, kh, ki, kj = cofactor(ta, tb, tc, td, tf, tg, th, ti, tj)
             fx = _turned(fx, u * a + v * ca + r * ka + m * (a * xx + b * xy + c * xz),
                          u * b + v * cb + r * kb + m * (a * xy + b * yy + c * yz),
                          u * c + v * cc + r * kc + m * (a * xz + b * yz + c * zz), bx, by, bz)  # fmt: skip
@@ -193,20 +208,13 @@ def _predictions(X, TO, CONN, B, SLOTS, TAKEN, OUT, cells, nodes, capacity, SIZE
     px, py, pz = _corners(TO, CONN, scene, cell, nodes, inside)
     for k in range(8):
         bx, by, bz = _slopes(B, first, k, inside)
-        T = TAKEN + 9 * (8 * own + k)
-        a, b, c = tl.load(T, mask=inside), tl.load(T + 1, mask=inside), tl.load(T + 2, mask=inside)
-        d, e, f = tl.load(T + 3, mask=inside), tl.load(T + 4, mask=inside), tl.load(T + 5, mask=inside)
-        g, h, i = tl.load(T + 6, mask=inside), tl.load(T + 7, mask=inside), tl.load(T + 8, mask=inside)
-        out = _determinant(x, y, z, bx, by, bz)
-        p, q, r = cross(d, e, f, g, h, i)
-        u, v, w = _row(px - x, bx, by, bz)
-        out += p * u + q * v + r * w
-        p, q, r = cross(g, h, i, a, b, c)
+        a, b, c, d, f, g, h, i, j = _matrix(TAKEN + 9 * (8 * own + k), inside)
+        ca, cb, cc, cd, cf, cg, ch, ci, cj = cofactor(a, b, c, d, f, g, h, i, j)
+        p, q, r = _row(px - x, bx, by, bz)
         u, v, w = _row(py - y, bx, by, bz)
-        out += p * u + q * v + r * w
-        p, q, r = cross(a, b, c, d, e, f)
-        u, v, w = _row(pz - z, bx, by, bz)
-        out += p * u + q * v + r * w
+        l0, l1, l2 = _row(pz - z, bx, by, bz)
+        out = _determinant(x, y, z, bx, by, bz) + ca * p + cb * q + cc * r
+        out += cd * u + cf * v + cg * w + ch * l0 + ci * l1 + cj * l2
         tl.store(OUT + 8 * own + k, out, mask=inside)
 
 

@@ -13,7 +13,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from tacgen.tensor_engine.gpu_elements import COUNTS, LEAST, MOST, cross, law
+from tacgen.tensor_engine.gpu_elements import COUNTS, LEAST, MOST, cofactor, cross, law
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.elements import Hexes
@@ -28,6 +28,15 @@ def _of_row(i, a, b, c):
 @triton.jit
 def _outer(u, v):
     return u[:, None] * v[None, :]
+
+
+@triton.jit
+def _slopes(at, inside):
+    """dN/dX of each unknown's corner, in three directions."""
+    return (
+        tl.load(at, mask=inside, other=0.0), tl.load(at + 1, mask=inside, other=0.0),
+        tl.load(at + 2, mask=inside, other=0.0),
+    )  # fmt: skip
 
 
 @triton.jit
@@ -56,9 +65,7 @@ def _tangents(
     mean, ahead = total, total
     for k in range(8):
         w = tl.load(WEIGHTS + 8 * first + k)
-        g0 = tl.load(at + 3 * k, mask=inside, other=0.0)
-        g1 = tl.load(at + 3 * k + 1, mask=inside, other=0.0)
-        g2 = tl.load(at + 3 * k + 2, mask=inside, other=0.0)
+        g0, g1, g2 = _slopes(at + 3 * k, inside)
         a, b, c, d, f, g, h, u, j = _gradient(x, i, g0, g1, g2)
         p, q, r = cross(d, f, g, h, u, j)
         J = a * p + b * q + c * r
@@ -69,10 +76,7 @@ def _tangents(
     void = total <= 0
     volume = tl.where(void, 1.0, total)
     mean = tl.where(void, 1.0, mean / volume)
-    c10, c01 = law(LAWS, 0, first, capacity, cells, True), law(LAWS, 1, first, capacity, cells, True)
-    c20, c30 = law(LAWS, 2, first, capacity, cells, True), law(LAWS, 3, first, capacity, cells, True)
-    raw, kappa = law(LAWS, 4, first, capacity, cells, True), law(LAWS, 5, first, capacity, cells, True)
-    lam, slope = law(LAWS, 6, first, capacity, cells, True), law(LAWS, 7, first, capacity, cells, True)
+    c10, c01, c20, c30, raw, kappa, lam, slope = law(LAWS, first, capacity.to(tl.int64) * cells, True)
     dilatation = tl.where(void, 0.0, (kappa / 2 * (1 + 1 / (mean * mean)) + lam) / volume)
     if MIXED:
         mean = tl.where(void, 1.0, ahead / volume)
@@ -83,13 +87,9 @@ def _tangents(
     third = 3 - i[:, None] - i[None, :]
     for k in range(8):
         w = tl.load(WEIGHTS + 8 * first + k)
-        g0 = tl.load(at + 3 * k, mask=inside, other=0.0)
-        g1 = tl.load(at + 3 * k + 1, mask=inside, other=0.0)
-        g2 = tl.load(at + 3 * k + 2, mask=inside, other=0.0)
+        g0, g1, g2 = _slopes(at + 3 * k, inside)
         a, b, c, d, f, g, h, u, j = _gradient(x, i, g0, g1, g2)
-        ca, cb, cc = cross(d, f, g, h, u, j)
-        cd, cf, cg = cross(h, u, j, a, b, c)
-        ch, cl, cj = cross(a, b, c, d, f, g)
+        ca, cb, cc, cd, cf, cg, ch, cl, cj = cofactor(a, b, c, d, f, g, h, u, j)
         J = a * ca + b * cb + c * cc
         F = OUT + 9 * (8 * own + k)
         tl.store(F, a)
