@@ -109,16 +109,16 @@ def contact(b: Batch, s: Tensor) -> list[Outcome]:
         many = count.tolist()
         reduce(b, b.slots([rows[k] for k in stale]), [many[k] for k in stale])
     status = _stepped(b, s, False)
-    if shorter := [row for row in rows if status[row] == SEARCHING]:
-        status |= _stepped(b, b.slots(shorter), True)
+    if left := [row for row in rows if status[row] == SEARCHING]:
+        status |= _stepped(b, b.slots(left), True)
     ends = {RUNNING: Outcome.more, UNSTABLE: Outcome.unstable}
     return [ends.get(status[row], Outcome.ended) for row in rows]
 
 
-def _stepped(b: Batch, s: Tensor, search: bool) -> dict[int, int]:
-    """The contact after a step, in full or with a line search; how each scene's stands."""
+def _stepped(b: Batch, s: Tensor, symmetric: bool) -> dict[int, int]:
+    """The contact after a coupled or a symmetric step; how each scene's stands."""
     sizes, damped = b.sizes(s), damping(b, s)
-    key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), search), partial(_contact, b, sizes, search)
+    key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), symmetric), partial(_contact, b, sizes, symmetric)
     x, offset, steps, length, drift, gap, status = b.replays(key, work, s, *damped)
     b.t.put(
         s, c_x=x, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
@@ -139,11 +139,11 @@ def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ..
     return acted(b, sizes, s, now.contact.conn, facets, valid)
 
 
-def _contact(b: Batch, sizes: Sizes, search: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
+def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
     """The contact's tensors after a step, in the order of contact_newton.Iterates."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now = _iterates(b, sizes, s)
-    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact, search)
+    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact, symmetric)
     x = b.t.c_x[s]
     x[:, : sizes.nodes] = after.x
     return x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status

@@ -85,29 +85,32 @@ def shrunk(now: Iterates) -> tuple[Contacts, Tensor]:
 
 
 def step(
-    bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int, search: bool
+    bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int, symmetric: bool
 ) -> Iterates:
     """One step of each scene towards the equilibrium of bulk, barrier and friction, with indenters shrunk by the mean
     gap; see mechanics.contact_newton.contact_step.
 
-    bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm]. search: whether scenes that cannot take the
-    whole coupled step, which are few, search along it; otherwise they stay as they are, but SEARCHING.
+    bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm]. symmetric: whether these are scenes that take
+    a part of the symmetric step. Otherwise those of whose coupled step no part is good enough, which are few, stay as
+    they are, but SEARCHING.
     """
     x, length, (contact, drift) = now.x, now.length, shrunk(now)
     forces = contact.evaluate(x)
     g = bulk.residual(contact, forces, x)
     going = now.steps < max_steps
-    p, coupled = bulk.solve(contact, forces.tangent, g, False)
-    full = coupled & (contact.max_step(forces.gap, p, reach) >= 1)
-    there = x + p
+    p, exists = bulk.solve(contact, forces.definite if symmetric else forces.tangent, g, symmetric)
+    first = contact.max_step(forces.gap, p, reach)
+    full = torch.zeros_like(going)
+    if not symmetric:
+        whole = bulk.residual(contact, contact.evaluate(x + p), x + p)
+        full = exists & (first >= 1) & (_norm(whole) <= FULL_STEP * _norm(g))
+    fraction = torch.ones_like(length)
+    if recording() or not bool((full | ~going).all()):
+        least = SHORTEST if symmetric else MIN_COUPLED
+        fraction = torch.where(full, fraction, _downhill(bulk, contact, forces, x, g, p, exists, first, least))
+    there = x + fraction[:, None, None] * p
     felt = contact.evaluate(there)
-    full = full & (_norm(bulk.residual(contact, felt, there)) <= FULL_STEP * _norm(g))
-    fraction, waits = torch.ones_like(length), going & ~full
-    if search:
-        some, other = _downhill(bulk, contact, forces, x, g, p, coupled, waits, reach)
-        fraction, p = torch.where(waits, some, fraction), torch.where(waits[:, None, None], other, p)
-        there, waits = x + fraction[:, None, None] * p, torch.zeros_like(waits)
-        felt = contact.evaluate(there)
+    waits = going & (fraction == 0) & (not symmetric)
     longest = p.abs().flatten(1).amax(1)
     stuck = fraction == 0
     gone = (there - bulk.start).abs().flatten(1).amax(1) > radius
@@ -146,31 +149,20 @@ def _downhill(
     g: Tensor,
     p: Tensor,
     exists: Tensor,
-    trying: Tensor,
-    reach: Tensor,
-) -> tuple[Tensor, Tensor]:
-    """Fractions (s,) and steps that lower the merit function of scenes that are `trying` (s,): the coupled step p or,
-    if less than MIN_COUPLED of it does, the symmetric one; 0 if neither does."""
+    first: Tensor,
+    least: float,
+) -> Tensor:
+    """The first of the fractions (s,) `first`, first/2, ... of steps p that lowers the merit function by Armijo's rule;
+    0 if none down to `least` does, or there is no step."""
     energy, gradient = bulk.at(x)
     here = energy + contact.merit_at(forces, forces)
-
-    def decreasing(p: Tensor, least: float, allowed: Tensor) -> Tensor:
-        slope, v = (g * p).sum((1, 2)), p.flatten(1)
-        first, second = (gradient * p).sum((1, 2)), (v * bulk.times(v)).sum(1)
-
-        fractions = halves(contact.max_step(forces.gap, p, reach), least)
-        merit = energy[:, None] + fractions * first[:, None] + fractions**2 * second[:, None] / 2
-        merit = merit + contact.merits(x, p, fractions, forces)
-        most = (here + ROUNDING * here.abs())[:, None] + ARMIJO * fractions * slope[:, None]
-        return first_of(fractions, (merit <= most) & (allowed & (slope <= 0))[:, None] & (fractions >= least))
-
-    fraction = decreasing(p, MIN_COUPLED, exists)
-    if not recording() and bool(((fraction > 0) | ~trying).all()):
-        return fraction, p
-    other, definite = bulk.solve(contact, forces.definite, g, True)
-    second = decreasing(other, SHORTEST, definite & (fraction == 0))
-    use = (fraction == 0)[:, None, None]
-    return torch.where(fraction > 0, fraction, second), torch.where(use, other, p)
+    slope, v = (g * p).sum((1, 2)), p.flatten(1)
+    linear, square = (gradient * p).sum((1, 2)), (v * bulk.times(v)).sum(1)
+    fractions = halves(first, least)
+    merit = energy[:, None] + fractions * linear[:, None] + fractions**2 * square[:, None] / 2
+    merit = merit + contact.merits(x, p, fractions, forces)
+    most = (here + ROUNDING * here.abs())[:, None] + ARMIJO * fractions * slope[:, None]
+    return first_of(fractions, (merit <= most) & (exists & (slope <= 0))[:, None] & (fractions >= least))
 
 
 def halves(first: Tensor, shortest: float) -> Tensor:

@@ -61,18 +61,38 @@ def _lower_inverse(A, info, n, block, row, column, SIZE: tl.constexpr, HALVES: t
     tl.store(info + tl.program_id(0), bad)
 
 
-@triton.jit(do_not_specialize=SIZES)
-def _inverse(A, n, block, row, column, SIZE: tl.constexpr):
+@triton.jit
+def _inverted(M, SIZE: tl.constexpr):
+    """M^-1 by Gauss-Jordan elimination in place, without pivots."""
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    first = A + tl.program_id(0).to(tl.int64) * block
-    M = _loaded(first, i, j, n, row, column)
-    for k in range(SIZE):  # Gauss-Jordan elimination in place
+    for k in range(SIZE):
         along = tl.sum(tl.where(i == k, M, 0.0), 0)[None, :]
         down = tl.sum(tl.where(j == k, M, 0.0), 1)[:, None]
         pivot = tl.sum(tl.where(j == k, along, 0.0), 1)[:, None]
         along = tl.where(j == k, 1.0, along) / pivot
         M = tl.where(i == k, along, tl.where(j == k, 0.0, M) - down * along)
-    tl.store(first + i * row + j * column, M, mask=(i < n) & (j < n))
+    return M
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _inverse(A, n, block, row, column, SIZE: tl.constexpr, HALVES: tl.constexpr):
+    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    first = A + tl.program_id(0).to(tl.int64) * block
+    P = _inverted(_loaded(first, i, j, n, row, column), SIZE)
+    if HALVES:
+        right = first + i * row + (j + SIZE) * column
+        low = first + (i + SIZE) * row + j * column
+        Q = tl.load(right, mask=j + SIZE < n, other=0.0)
+        R = tl.load(low, mask=i + SIZE < n, other=0.0)
+        below, beside = tl.dot(R, P, input_precision="ieee"), tl.dot(P, Q, input_precision="ieee")
+        T = _loaded(first, i + SIZE, j + SIZE, n, row, column)
+        T = _inverted(T - tl.dot(below, Q, input_precision="ieee"), SIZE)
+        R = -tl.dot(T, below, input_precision="ieee")
+        P = P - tl.dot(beside, R, input_precision="ieee")
+        tl.store(low, R, mask=i + SIZE < n)
+        tl.store(right, -tl.dot(beside, T, input_precision="ieee"), mask=j + SIZE < n)
+        tl.store(right + SIZE * row, T, mask=(i + SIZE < n) & (j + SIZE < n))
+    tl.store(first + i * row + j * column, P, mask=(i < n) & (j < n))
 
 
 def lower_inverse(A: Tensor) -> Tensor:
@@ -89,8 +109,8 @@ def lower_inverse(A: Tensor) -> Tensor:
 def inverse(A: Tensor) -> None:
     """Overwrite blocks A (b, n, n) by their inverses, without pivots."""
     n = A.shape[-1]
-    size = 16 if n <= 16 else 32 if n <= 32 else 64
-    _inverse[(len(A),)](A, n, *A.stride(), SIZE=size, num_warps=1 if size < 64 else 8)
+    size = 16 if n <= 16 else 32
+    _inverse[(len(A),)](A, n, *A.stride(), SIZE=size, HALVES=n > size, num_warps=1 if n <= size else 4)
 
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))

@@ -241,6 +241,11 @@ class Factor:
         return self.of.backward(self.panels, slots, y, patch(y[:, self.of.patch].flatten(1)))
 
 
+def half(n: int) -> int:
+    """Rows of the first of two parts of a matrix of n > BASE rows, of which all blocks but the last will have BASE."""
+    return BASE * round(n / (2 * BASE) + 1e-9)
+
+
 def invert_factor(A: Tensor) -> Tensor:
     """Overwrite symmetric matrices A (b, n, n), of which the lower triangle is read, by L^-1, where A = L L^T.
 
@@ -256,13 +261,13 @@ def invert_factor(A: Tensor) -> Tensor:
         L, info = torch.linalg.cholesky_ex(A)
         A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))
         return info
-    k = n // 2
+    k = half(n)
     first, corner, low, last = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
     info = invert_factor(first)
     L = low @ first.mT
     last.baddbmm_(L, L.mT, alpha=-1)
     info = torch.maximum(info, invert_factor(last))
-    low.copy_((last @ L) @ first).neg_()
+    low.baddbmm_(last @ L, first, beta=0, alpha=-1)
     corner.zero_()
     return info
 

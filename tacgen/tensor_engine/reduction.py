@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine.multifrontal import BASE, invert_factor
+from tacgen.tensor_engine.multifrontal import BASE, half, invert_factor
 from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.replay import rare
 
@@ -86,15 +86,15 @@ def invert(A: Tensor) -> None:
     if n <= BASE:
         A.copy_(torch.linalg.inv_ex(A)[0])
         return None
-    k = n // 2
+    k = half(n)
     P, Q, R, T = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
     invert(P)
     below, beside = R @ P, P @ Q
     T.baddbmm_(below, Q, alpha=-1)
     invert(T)
-    R.copy_(-(T @ below))
+    R.baddbmm_(T, below, beta=0, alpha=-1)
     P.baddbmm_(beside, R, alpha=-1)
-    Q.copy_(-(beside @ T))
+    Q.baddbmm_(beside, T, beta=0, alpha=-1)
     return None
 
 
