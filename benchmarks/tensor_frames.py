@@ -162,6 +162,11 @@ def merged(found: list[Report]) -> dict[int, Array]:
         f" {frames.total()} frames in {elapsed:.1f} s: {frames.total() / elapsed:.1f} a second, {busiest:.1f} in the"
         f" best {WINDOW} s; {mean:.1f} scenes a call, {memory:.1f} GB"
     )
+    begun = min(frames)
+    by_window = Counter[int]()
+    for second, count in frames.items():
+        by_window[(second - begun) // WINDOW] += count
+    print(f"  frames a second by {WINDOW} s:", *(round(by_window[k] / WINDOW) for k in range(max(by_window) + 1)))
     for phase, time_ in seconds.most_common():
         print(
             f"  {phase:8s} {100 * time_ / total:3.0f} %, {calls[phase]} calls of {scenes[phase] / calls[phase]:.1f}"

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from tacgen.render.pictures import Pictures
 
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
+STRESS = {"stress", "surface_stress"}  # outputs that need the gel's elements
 TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
@@ -92,7 +93,6 @@ def _attributes(
         "sensor_sha256": row.sensor_sha256,
         "sensor_document": row.sensor_document(),
         "input_key": row.key,
-        "solver": ", ".join([problem.linear.name, *(f"{p} {version(p)}" for p in ("numpy", "scipy", "numba"))]),
         "values": row.values,
         "mesh": mesh.quality(built.gel, problem.mesh),
     }
@@ -110,6 +110,9 @@ def _attributes(
         found["pair"] = row.pair
     if solution is not None and solution.states:
         found["solver"] = solution.engine
+    else:
+        versions = (f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
+        found["solver"] = ", ".join([problem.linear.name, *versions])
     elsewhere = "" if solution is None else solution.why
     if said := [note for note in (coarse, cost, elsewhere, *row.notes) if note]:
         found["notes"] = said
@@ -193,10 +196,14 @@ def _gels(row: Row, clock: Clock, solution: SolvedScene | None = None) -> tuple[
         with clock.stage("presolve"):
             built = presolve.refined(built, known.heights) if known else presolve.presolved(built)
     with clock.stage("mesh"):
-        # a trial of a prescribed force may fold where its solution does not: such a scene is stopped by its frames
-        through = row.recipe.folds == "keep" or built.forced is not None
-        problem = mechanics.Problem.of(built, mesh.of(built), replace(mechanics.DEFAULT, through_folds=through))
-    states = iter(known.states) if known else mechanics.states(built, problem)
+        if known:
+            stress = bool(row.recipe.outputs & STRESS)
+            problem, states = mechanics.Problem.of_known_frames(built, mesh.of(built), stress=stress), iter(known.states)
+        else:
+            # a trial of a prescribed force may fold where its solution does not: its frames stop such a scene
+            through = row.recipe.folds == "keep" or built.forced is not None
+            problem = mechanics.Problem.of(built, mesh.of(built), replace(mechanics.DEFAULT, through_folds=through))
+            states = mechanics.states(built, problem)
     return ((row, built, problem),), (((state, None),) for state in states)
 
 
@@ -353,7 +360,7 @@ def compile_labels(row: Row, folder: Path, **_: Any) -> None:
                 shared.pictures.radiance(moved)
         with compiled.once(_maps(row)):
             shared.drawn(moved).normals()
-            if row.recipe.outputs & {"stress", "surface_stress"}:
+            if row.recipe.outputs & STRESS:
                 shared.stresses.at(dented, shared.problem.elastic)
 
 

@@ -30,6 +30,7 @@ FORCE_FLOOR = 1e-3  # smallest force scale over kappa dhat^2: forces that occur 
 # Contact points along a facet's side, under an indenter thinner than that side: it would pass between two where
 # friction stretches the gel to twice its length. Elsewhere two: three stiffen a coarse mesh (by 1 % for a ball).
 POINTS_IF_THIN = 3
+NO_MATRIX = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,18 @@ class Problem:
         from tacgen.fem.inertia import Body
 
         return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
+
+    @classmethod
+    def of_known_frames(cls, scene: Scene, mesh: GelMesh, *, stress: bool = False) -> "Problem":
+        """Of a scene whose frames another engine solves: its contact, its layers' laws, and if there will be `stress`
+        their elements; neither matrices nor the folding barrier, which take most of the time to set up."""
+        some = mesh.cells if stress else mesh.cells[:0]
+        layer = mesh.layer[: len(some)]
+        elastic = tuple(
+            Elastic(elements(mesh.points, some[layer == number]), each.law)
+            for number, each in enumerate(scene.gel.layers)
+        )
+        return cls(mesh, elastic, (), by_distance(scene, mesh, None), NO_MATRIX, scene.friction, scene.edge)
 
     @cached_property
     def linear(self) -> linear_solvers.Solver:

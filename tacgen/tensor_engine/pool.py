@@ -8,19 +8,16 @@ from itertools import chain, islice
 import numpy as np
 import torch
 
-from tacgen.fem.assembly import Pattern
-from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import Elements
 from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
-from tacgen.mechanics.problem import Problem, by_distance
+from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, scheduler
 from tacgen.tensor_engine.batch import Batch, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
-from tacgen.tensor_engine.elements import SHAPE, Topology
+from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
@@ -36,7 +33,6 @@ CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
 MATRIX = 64  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE = (Phase.contact, Phase.predict)
-NONE = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)  # of no sparse matrix
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
@@ -82,17 +78,8 @@ class PreparedScene:
         assert plan.scene is not None
         assert plan.axes is not None
         assert plan.pattern is not None
-        problem = _unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
+        problem = Problem.of_known_frames(plan.scene, mesh.on(plan.axes, plan.scene.gel))
         return cls(plan.number, plan.scene, problem, grids.placed(plan.axes, plan.scene, plan.pattern))
-
-
-def _unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
-    """The problem of a scene on its mesh without the CPU engine's tables, which take most of the time to make: those of
-    elements, and of the sparse stiffness."""
-    none = Elements(grid.cells[:0], np.zeros((0, 8, 8, 3)), np.zeros((0, 8)), 0.0, SHAPE)
-    elastic = tuple(Elastic(none, layer.law) for layer in scene.gel.layers)
-    contact = by_distance(scene, grid, None)
-    return Problem(grid, elastic, (), contact, NONE, scene.friction, scene.edge)
 
 
 class ScenePool:
@@ -179,15 +166,17 @@ def solved(
 
 
 def divided(patterns: Sequence[GridPattern | None], parts: int) -> list[list[int]]:
-    """Numbers of scenes in at most so many parts of about one size, for processes that share a GPU: scenes of one
-    pattern together, those of large ones first and those without one last."""
+    """Numbers of scenes in at most so many parts that take about equally long, for processes that share a GPU: scenes
+    of one pattern together, those of large ones first and those without one last."""
 
     def key(number: int) -> tuple[bool, int, tuple[int, ...]]:
         pattern = patterns[number]
         return (True, 0, ()) if pattern is None else (False, -pattern.size, pattern.cells)
 
-    order = np.array(sorted(range(len(patterns)), key=key), int)
-    return [part.tolist() for part in np.array_split(order, parts) if len(part)]
+    order = sorted(range(len(patterns)), key=key)
+    nodes = np.array([1 if (pattern := patterns[k]) is None else pattern.size for k in order])  # time follows them
+    part = ((np.cumsum(nodes) - nodes / 2) / nodes.sum() * parts).astype(int) if order else []
+    return [some for n in range(parts) if (some := [k for k, m in zip(order, part, strict=True) if m == n])]
 
 
 def _solved(

@@ -24,14 +24,14 @@ _noted: list[Tensor] | None = None  # what was assumed not to occur, while work 
 
 
 def padded(rows: int) -> int:
-    """Rows of the recording for so many: 2, 8, 16, 32... Each size takes the time of some calls to record, and rows
-    that repeat the first one take as long as others."""
-    return 2 if rows <= 2 else max(8, 1 << (rows - 1).bit_length())
+    """Rows of the recording for so many: a power of two from 2 on. Each size takes the time of some calls to record,
+    and rows that repeat the first one take as long as others."""
+    return max(2, 1 << (rows - 1).bit_length())
 
 
 def recorded(most: int) -> int:
     """Rows of the largest recording with at most so many, or of the smallest."""
-    return 2 if most < 8 else 1 << most.bit_length() - 1
+    return max(2, 1 << max(most.bit_length() - 1, 0))
 
 
 def rare(mask: Tensor) -> bool:

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from helpers.small_recipe import HEAD, PRESS
 
-from tacgen import batch
+from tacgen import batch, mechanics, pipeline
 from tacgen.batch import cuda_engine, solution_file
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
-from tacgen.mechanics import presolve
+from tacgen.mechanics import mesh, presolve
+from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solved_scene import SolvedScene
-from tacgen.recipe import plan
+from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
 
@@ -82,6 +83,26 @@ def test_a_solution_is_labelled_without_another_coarse_solve(
         assert not cuda_engine._solve_all([row], tmp_path, ["cpu"], solving, 1, map)
     monkeypatch.setattr(presolve, "presolved", lambda scene: pytest.fail("solved again"))
     assert cuda_engine.run_scene(row, tmp_path).status == "ok"
+
+
+@pytest.mark.parametrize(("outputs", "elements"), [("force, rgb", False), ("force, stress", True)])
+def test_known_frames_are_labelled_without_matrices(
+    outputs: str, elements: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Elements are set up only for stress; either way the labels are those of the engine that solved."""
+    planned(tmp_path)
+    (row,) = plan.load(tmp_path / "few.yaml", [f"outputs=[{outputs}]"]).rows
+    scene = scene_of_row.build(row)
+    known = Problem.of(scene, mesh.of(scene))
+    states = list(mechanics.states(scene, known))
+    pipeline.run_scene(row, tmp_path / "solved")
+    monkeypatch.setattr(Problem, "of", lambda *_: pytest.fail("set up to be solved"))
+    problem = Problem.of_known_frames(scene, known.mesh, stress=elements)
+    assert [len(part.elements.conn) > 0 for part in problem.elastic] == [elements] * len(known.elastic)
+    pipeline.run_scene(row, tmp_path / "known", solution=SolvedScene("an engine", states))
+    solved, labelled = (read(tmp_path / folder / "scene-00000.h5") for folder in ("solved", "known"))
+    assert labelled.attrs["solver"] == "an engine"
+    assert solved.verify() == labelled.verify()
 
 
 def test_finished_scenes_are_not_solved_again(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

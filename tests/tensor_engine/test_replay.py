@@ -72,14 +72,14 @@ def test_calls_of_any_size_have_the_outputs_of_the_work() -> None:
         once, twice = replays("twice", lambda s, k: (rows[s], k * rows[s]), some, times)
         assert once.tolist() == [float(k) for k in slots]
         assert twice.tolist() == [float(k) ** 2 for k in slots]
-    assert replays.count == 3  # of 2 rows, 8 and 32, each the second time
+    assert replays.count == 3  # of 2 rows, 4 and 32, each the second time
 
 
 def test_sizes_of_recordings_are_few_and_large_enough() -> None:
     sizes = [padded(k) for k in range(1, 500)]
-    assert sorted(set(sizes)) == [2, 8, 16, 32, 64, 128, 256, 512]
+    assert sorted(set(sizes)) == [2, 4, 8, 16, 32, 64, 128, 256, 512]
     assert all(size >= k for k, size in enumerate(sizes, 1))
-    assert [recorded(k) for k in (0, 2, 7, 8, 31, 32, 500, 512)] == [2, 2, 2, 8, 16, 32, 256, 512]
+    assert [recorded(k) for k in (0, 2, 7, 8, 31, 32, 500, 512)] == [2, 2, 4, 8, 16, 32, 256, 512]
 
 
 def test_scenes_that_meet_something_rare_are_done_again() -> None:
