@@ -198,7 +198,8 @@ def _gels(row: Row, clock: Clock, solution: SolvedScene | None = None) -> tuple[
     with clock.stage("mesh"):
         if known:
             stress = bool(row.recipe.outputs & STRESS)
-            problem, states = mechanics.Problem.of_known_frames(built, mesh.of(built), stress=stress), iter(known.states)
+            problem = mechanics.Problem.of_known_frames(built, mesh.of(built), stress=stress)
+            states = iter(known.states)
         else:
             # a trial of a prescribed force may fold where its solution does not: its frames stop such a scene
             through = row.recipe.folds == "keep" or built.forced is not None

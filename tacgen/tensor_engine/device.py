@@ -5,6 +5,8 @@ import gc
 import torch
 
 CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
+FULL = 0.9  # part of a process's memory beyond which it has none for further recordings
+_part = 1.0  # of a GPU's memory, that this process may use
 
 
 def usable() -> list[str]:
@@ -16,9 +18,18 @@ def chosen(device: str, part: float = 1.0) -> float:
     """Work on this device from now on in this process, with a part of its memory; returns its bytes."""
     if not device.startswith("cuda"):
         return part * CPU_MEMORY
+    global _part
+    _part = part
     torch.cuda.set_device(device)
     torch.cuda.set_per_process_memory_fraction(part)
     return part * float(torch.cuda.mem_get_info()[1])
+
+
+def full(device: torch.device) -> bool:
+    """Whether nearly all memory that this process may use is in use."""
+    if device.type != "cuda":
+        return False
+    return bool(torch.cuda.memory_reserved(device) > FULL * _part * torch.cuda.mem_get_info(device)[1])
 
 
 def cleared(device: str) -> None:

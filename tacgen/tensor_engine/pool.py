@@ -174,8 +174,9 @@ def divided(patterns: Sequence[GridPattern | None], parts: int) -> list[list[int
         return (True, 0, ()) if pattern is None else (False, -pattern.size, pattern.cells)
 
     order = sorted(range(len(patterns)), key=key)
-    nodes = np.array([1 if (pattern := patterns[k]) is None else pattern.size for k in order])  # time follows them
-    part = ((np.cumsum(nodes) - nodes / 2) / nodes.sum() * parts).astype(int) if order else []
+    nodes = np.array([0.0 if (pattern := patterns[k]) is None else pattern.size for k in order])
+    times = nodes + nodes.mean() + 1 if order else nodes  # about half of a frame's time is that of launches
+    part = ((np.cumsum(times) - times / 2) / times.sum() * parts).astype(int)
     return [some for n in range(parts) if (some := [k for k, m in zip(order, part, strict=True) if m == n])]
 
 

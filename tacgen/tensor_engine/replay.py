@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine.device import cleared
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.indices import index_of, listed
 
 Outputs = tuple[Tensor, ...]
@@ -72,10 +72,10 @@ class Replays:
         self._where: Any = None  # stream and pool of memory, which recordings share since they never run at once
 
     def forget(self) -> None:
-        """Tensors have moved: what was recorded is useless."""
+        """Give recordings up: tensors have moved, or there is no memory for more."""
         if self._recorded:
             self._recorded, self._where = {}, None
-            cleared(str(self.device))
+            devices.cleared(str(self.device))
 
     def __call__(self, key: Hashable, work: Work, s: Tensor, *numbers: Sequence[float]) -> Outputs:
         """Outputs of work for slots s and numbers of them, to be used before the next call; key: all else that it
@@ -88,6 +88,10 @@ class Replays:
             self._recorded[key] = None
             return self._eagerly(work, s, numbers)
         if (recorded := self._recorded[key]) is None:
+            if devices.full(self.device):  # those that are used will be recorded again
+                self.forget()
+                if devices.full(self.device):
+                    return self._eagerly(work, s, numbers)
             if self._where is None and self.device.type == "cuda":
                 self._where = torch.cuda.Stream(), torch.cuda.graph_pool_handle()
             recorded = self._recorded[key] = _Recording(work, size, len(numbers), self.device, self._where)

@@ -127,5 +127,5 @@ def test_work_and_kept_numbers_count_padded_fronts():
 def test_parts_for_processes_have_scenes_of_few_patterns() -> None:
     small, large = GridPattern((14, 14, 5)), GridPattern((18, 18, 5))
     parts = pool.divided([small, None, large, small, large, small, small, large], 4)
-    assert parts == [[2], [4, 7], [0, 3], [5, 6, 1]]  # of 2166, 4332, 2700 and 2701 nodes
+    assert parts == [[2, 4], [7], [0, 3], [5, 6, 1]]  # scenes count by half, half by their nodes
     assert pool.divided([small], 4) == [[0]]

@@ -13,6 +13,7 @@ from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_mod
 
 import tacgen.tensor_engine.batch
 from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import inversion, pool, replay
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.indices import index_of
@@ -154,3 +155,25 @@ def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.M
             (found,) = b.replays("forces", work, s)
             assert (found - eager).abs().max() < 1e-12 * eager.abs().max()
         assert b.replays.again == again
+
+
+@pytest.mark.parametrize("short", [[True, False], [True, True]])
+def test_recordings_make_room_for_others(short: list[bool], monkeypatch: pytest.MonkeyPatch) -> None:
+    """All are given up where memory is short; where that is of no use, work is done without."""
+    rows, replays, done = torch.arange(10.0), Replays(CPU, on=True), []
+
+    def double(s: torch.Tensor) -> tuple[torch.Tensor]:
+        done.append(replay.recording())
+        return (2 * rows[s],)
+
+    def doubled() -> tuple[list[float], bool]:
+        (out,) = replays("double", double, index_of([3, 1], CPU))
+        return out.tolist(), done[-1]
+
+    assert [doubled() for _ in range(3)] == [([6.0, 2.0], recorded) for recorded in (False, True, True)]
+    answers = iter(short)
+    monkeypatch.setattr(devices, "full", lambda device: next(answers, False))
+    (other,) = replays("other", double, index_of([4], CPU))
+    (other,) = replays("other", double, index_of([4], CPU))
+    assert (other.tolist(), done[-1]) == ([8.0], not all(short))
+    assert doubled() == ([6.0, 2.0], False)  # anew
