@@ -1,6 +1,7 @@
 """Progress of a dataset's folder: the state of each planned scene, from its bundle or from the journal."""
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 from pydantic import NonNegativeFloat
 
 from tacgen import atomic_file
-from tacgen.bundle.bundle import read
+from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.journal import PlannedScene, read_journal, read_plan
 from tacgen.bundle.stored_json import Stored
 from tacgen.bundle.stored_json import read as read_json
@@ -50,6 +51,12 @@ def survey(folder: Path) -> Survey:
     Raises:
         UserError: there is no plan in it.
     """
+    name, scenes = opened(folder)
+    return Survey(name, folder, tuple(scene for scene, _ in scenes))
+
+
+def opened(folder: Path) -> tuple[str, Iterator[tuple[SceneStatus, Bundle | None]]]:
+    """As `survey`, the plan's name, and each scene with its bundle, if that is ok or rejected."""
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder")
     plan = read_plan(folder)
@@ -59,10 +66,9 @@ def survey(folder: Path) -> Survey:
     for event in read_journal(folder):
         if event.event == "scene":
             failures[event.scene] = event.reason if event.status == "failed" else ""
-    scenes = (
+    return plan.name, (
         _scene(folder, row, failures.get(row.scene.partition("-L")[0].partition("-R")[0], "")) for row in plan.scenes
     )
-    return Survey(plan.name, folder, tuple(scenes))
 
 
 class Timing(Stored):
@@ -71,23 +77,23 @@ class Timing(Stored):
     seconds: dict[str, NonNegativeFloat]
 
 
-def _scene(folder: Path, row: PlannedScene, failure: str) -> SceneStatus:
+def _scene(folder: Path, row: PlannedScene, failure: str) -> tuple[SceneStatus, Bundle | None]:
     path = folder / f"{row.scene}.h5"
 
     def found(state: str, reason: str = "", frames: int = row.frames) -> SceneStatus:
         return SceneStatus(row.scene, state, reason, frames, path, row.values, _seconds(path))
 
     if atomic_file.is_claimed(path):
-        return found("at work")
+        return found("at work"), None
     if path.exists():
         try:
             bundle = read(path)
         except UserError as error:
-            return found("damaged", error.lines[0].removeprefix(f"{path}: "))
+            return found("damaged", error.lines[0].removeprefix(f"{path}: ")), None
         if bundle.attrs["input_key"] != row.key:
-            return found("waiting", "its place is taken by a bundle of other inputs")
-        return found(bundle.attrs["status"], bundle.attrs["reason"], bundle.frames)
-    return found("failed", failure) if failure else found("waiting")
+            return found("waiting", "its place is taken by a bundle of other inputs"), None
+        return found(bundle.attrs["status"], bundle.attrs["reason"], bundle.frames), bundle
+    return (found("failed", failure) if failure else found("waiting")), None
 
 
 def _seconds(path: Path) -> dict[str, float]:

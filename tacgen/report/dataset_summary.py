@@ -129,15 +129,11 @@ def look(folder: Path) -> Overview:
     if dataset.is_packed(folder):
         return _plain(folder, dataset.read_index(folder).name)
     try:
-        planned = run_status.survey(folder)
+        name, opened = run_status.opened(folder)
     except UserError:
         return _plain(folder, "")
-    scenes = []
-    for scene in planned.scenes:
-        bundle = dataset.scenes(scene.path)[0] if scene.state in ("ok", "rejected") else None
-        scenes.append(SceneOverview(**vars(scene), bundle=bundle))
-    size = sum(scene.path.stat().st_size for scene in planned.scenes if scene.path.exists())
-    return Overview(planned.name, folder, tuple(scenes), size)
+    scenes = tuple(SceneOverview(**vars(scene), bundle=bundle) for scene, bundle in opened)
+    return Overview(name, folder, scenes, sum(scene.path.stat().st_size for scene in scenes if scene.path.exists()))
 
 
 def summary(folder: Path) -> str:

@@ -1,6 +1,7 @@
 """Card, report and summary say what a folder holds, what it lacks and why, from the bundles themselves."""
 
 import re
+from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from helpers.synthetic import attributes, write
 from typer.testing import CliRunner
 
 from tacgen import batch
-from tacgen.bundle import dataset, pack
+from tacgen.bundle import dataset, pack, run_status
+from tacgen.bundle.bundle import Bundle, read
 from tacgen.cli import app
 from tacgen.errors import UserError
 from tacgen.report import dataset_card, dataset_summary, html_report
@@ -96,6 +98,21 @@ def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
     plot = page[page.index("<rect x=65") :]
     assert re.findall(r">([-\d.]+)</text>", plot)[:6] == ["0.5", "1", "0", "2", "4", "6"]  # ticks of a and b
     assert "<x" not in page
+
+
+def test_an_overview_opens_each_bundle_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Opening them is most of the time that a large folder takes."""
+    opened = Counter[str]()
+
+    def counted(path: Path, *rest: Any, **options: Any) -> Bundle:
+        opened[path.name] += 1
+        return read(path, *rest, **options)
+
+    for module in (run_status, dataset):
+        monkeypatch.setattr(module, "read", counted)
+    assert len(dataset_summary.look(folder).bundles) == 4
+    assert opened
+    assert set(opened.values()) == {1}
 
 
 def test_indenters_are_told_in_words_and_counted() -> None:
