@@ -9,7 +9,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import version
@@ -69,10 +69,10 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         ) -> list[SceneResult]:
             solutions = _Solutions(_unfinished(rows, folder, overwrite), folder, on_event)
 
-            def solve(some: Sequence[Row]) -> list[str]:
-                return _solve_all(some, folder, devices, solving, count, mapped)
+            def begin(some: Sequence[Row]) -> list[Future[list[str]]]:
+                return _begun(some, folder, devices, solving, count, mapped)
 
-            solved = ahead.submit(solutions.make, solve)
+            solved = ahead.submit(solutions.make, begin)
 
             def ready(row: Row) -> bool:
                 return solutions.has(row) or (solved.done() and solved.result() is None)
@@ -92,23 +92,41 @@ class _Solutions:
         self._rows, self._folder, self._on_event = rows, folder, on_event
         self._places = {row.name: _place(folder, row) for row in rows}
         self._ended, self._notes, self._closed = set[str](), deque[str](), Event()
+        self._begun = deque[tuple[Sequence[Row], list[Future[list[str]]]]]()
         self._there, self._seen = set[str](), 0.0  # names of solutions when they were last looked for
         self._clear()  # what a killed run has left may be another recipe's
         (folder / FOLDER).mkdir(exist_ok=True)
 
-    def make(self, solve: Callable[[Sequence[Row]], list[str]]) -> None:
-        """Write them, chunk by chunk, by a function that returns notes on the run."""
+    def make(self, begin: Callable[[Sequence[Row]], list[Future[list[str]]]]) -> None:
+        """Write them, chunk by chunk, by a function that begins a chunk and returns its parts, with notes on the run.
+
+        A chunk is begun while the one before is solved: a process without a part of that takes one of the next.
+        """
         for k in range(0, len(self._rows), CHUNK):
             while k - len(self._ended) > CHUNK and not self._closed.wait(1.0):
                 pass
             if self._closed.is_set():
                 return
             some = self._rows[k : k + CHUNK]
-            self._notes += solve(some)
-            for row in some:
-                if not self._places[row.name].exists() and row.name not in self._ended:
-                    why = "solved by the CPU engine: the batch engine stopped before this scene"
-                    solution_file.write(self._places[row.name], SolvedScene("", why=why))
+            self._begun.append((some, begin(some)))
+            if len(self._begun) > 1:
+                self._finish(*self._begun[0])
+        while self._begun:
+            self._finish(*self._begun[0])
+
+    def _finish(self, rows: Sequence[Row], parts: Sequence[Future[list[str]]]) -> None:
+        """Wait for the first chunk that is begun; a reason for each of its scenes that has no solution."""
+        try:
+            self._notes += [note for part in parts for note in part.result()]
+        except BrokenProcessPool:
+            self._notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
+        except CancelledError:
+            pass  # closed
+        self._begun.popleft()
+        for row in rows:
+            if not self._places[row.name].exists() and row.name not in self._ended:
+                why = "solved by the CPU engine: the batch engine stopped before this scene"
+                solution_file.write(self._places[row.name], SolvedScene("", why=why))
 
     def has(self, row: Row) -> bool:
         """Whether a row's solution is there, or none is needed."""
@@ -127,6 +145,9 @@ class _Solutions:
     def close(self) -> None:
         """No more solutions are needed."""
         self._closed.set()
+        for _, parts in list(self._begun):
+            for part in parts:
+                part.cancel()
         self._tell()
         self._clear()
 
@@ -195,26 +216,22 @@ def _unfinished(rows: Sequence[Row], folder: Path, overwrite: bool) -> list[Row]
     return [row for row in rows if not kept(row)]
 
 
-def _solve_all(
+def _begun(
     rows: Sequence[Row], folder: Path, devices: Sequence[str], solving: Executor, count: int, mapped: Mapped
-) -> list[str]:
-    """Write a solution for each row, or why there is none; returns notes on the run."""
-    if not rows:
-        return []
+) -> list[Future[list[str]]]:
+    """Begin to write a solution for each row, or why there is none, in parts that return notes on the run; no part
+    where a process has died."""
     from tacgen.tensor_engine.pool import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
-    parts = divided([plan.pattern for plan in plans], count)
-    share, notes = -(-count // len(devices)), list[str]()
+    parts, share = divided([plan.pattern for plan in plans], count), -(-count // len(devices))
     try:
-        begun = [
+        return [
             solving.submit(_solve, {k: rows[k] for k in part}, [plans[k] for k in part], folder, device, share)
             for part, device in zip(parts, cycle(devices), strict=False)
         ]
-        notes += [note for part in begun for note in part.result()]
     except BrokenProcessPool:
-        notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
-    return notes
+        return []
 
 
 def _planned(numbered: tuple[int, Row]) -> "Planned":

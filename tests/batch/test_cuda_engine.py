@@ -1,8 +1,9 @@
 """Runs with the batch engine, here on PyTorch's CPU backend: bundles, what falls back, what is left behind."""
 
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,8 @@ def test_a_solution_is_labelled_without_another_coarse_solve(
     (row,) = planned(tmp_path, "press: {force_n: 1, frames: 1}").rows
     (tmp_path / cuda_engine.FOLDER).mkdir()
     with ThreadPoolExecutor(1) as solving:
-        assert not cuda_engine._solve_all([row], tmp_path, ["cpu"], solving, 1, map)
+        (part,) = cuda_engine._begun([row], tmp_path, ["cpu"], solving, 1, map)
+        assert not part.result()
     monkeypatch.setattr(presolve, "presolved", lambda scene: pytest.fail("solved again"))
     assert cuda_engine.run_scene(row, tmp_path).status == "ok"
 
@@ -132,7 +134,7 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
     first, second = made.rows
     waited = list[bool]()
 
-    def solve(rows: list[Row], folder: Path, *how: object) -> list[str]:
+    def solve(folder: Path) -> list[str]:
         solution_file.write(folder / cuda_engine.FOLDER / f"{second.name}.npz", SolvedScene("", why="solved first"))
         end = time.monotonic() + 60
         while not (out / f"{second.name}.h5").exists() and time.monotonic() < end:
@@ -140,7 +142,8 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
         waited.append((out / f"{second.name}.h5").exists() and not (out / f"{first.name}.h5").exists())
         return ["all solved"]
 
-    monkeypatch.setattr(cuda_engine, "_solve_all", solve)
+    begun = lambda rows, folder, devices, solving, *how: [solving.submit(solve, folder)]  # noqa: E731
+    monkeypatch.setattr(cuda_engine, "_begun", begun)
     monkeypatch.setattr(cuda_engine, "usable_devices", lambda: ["cpu"])
     events: list[dict[str, Any]] = []
     results = batch.run(made, out, engine="cuda", on_event=events.append)
@@ -149,6 +152,36 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
     assert "solved first" in read(out / f"{second.name}.h5").attrs["notes"]
     assert "stopped before this scene" in read(out / f"{first.name}.h5").attrs["notes"]
     assert "all solved" in [event["note"] for event in events if event["event"] == "note"]
+    assert not (out / cuda_engine.FOLDER).exists()
+
+
+def test_a_chunk_is_begun_while_the_one_before_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But no third one before the first is written."""
+    made, out = planned(tmp_path, more=TWO.replace("samples: 2", "samples: 3")), tmp_path / "out"
+    log, second = list[str](), Event()
+
+    def solve(name: str, place: Path) -> list[str]:
+        if name == made.rows[0].name:
+            second.wait(60)
+        log.append(f"{name} solved")
+        solution_file.write(place, SolvedScene("", why="of no matter"))
+        return []
+
+    def begun(rows: list[Row], folder: Path, devices: object, solving: Executor, *how: object) -> list[Any]:
+        (row,) = rows
+        log.append(f"{row.name} begun")
+        if row is made.rows[1]:
+            second.set()
+        return [solving.submit(solve, row.name, folder / cuda_engine.FOLDER / f"{row.name}.npz")]
+
+    monkeypatch.setattr(cuda_engine, "CHUNK", 1)
+    monkeypatch.setattr(cuda_engine, "_begun", begun)
+    monkeypatch.setattr(cuda_engine, "usable_devices", lambda: ["cpu"])
+    events = lambda event: log.append(f"{event['scene']} {event['status']}") if event["event"] == "scene" else None  # noqa: E731
+    batch.run(made, out, engine="cuda", on_event=events)
+    one, two, three = (row.name for row in made.rows)
+    assert log[:3] == [f"{one} begun", f"{two} begun", f"{one} solved"]
+    assert log.index(f"{three} begun") > log.index(f"{one} ok")
     assert not (out / cuda_engine.FOLDER).exists()
 
 
