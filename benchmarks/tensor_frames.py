@@ -26,7 +26,7 @@ from benchmarks import results_page
 from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
 from tacgen import mechanics
-from tacgen.batch.cuda_engine import MEMORY
+from tacgen.batch.cuda_engine import CHUNK, MEMORY
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import Phase
@@ -40,6 +40,8 @@ from tacgen.tensor_engine.grids import GridPattern
 Array = np.ndarray
 WINDOW = 10  # [s] in which frames are counted: at the end few scenes are left
 BEGUN: list[int] = []  # draws that the CPU engine has solved in this process
+STARTED: list[float] = []  # when the batch engine began in this process, by the clock [s]
+ADVANCE = engine.advance
 
 
 def main() -> None:
@@ -51,10 +53,11 @@ def main() -> None:
         made = {k: one for k, one in zip(draws, others.imap(planned, draws), strict=True) if one is not None}
         scenes, patterns = {k: scene for k, (scene, _) in made.items()}, [pattern for _, pattern in made.values()]
         print(f"{len(scenes)} scenes, {len(draws) - len(scenes)} refused", flush=True)
-        parts = [
-            {k: scenes[k] for k in np.array(list(scenes))[part]} for part in pool.divided(patterns, told.processes)
-        ]
-        with ProcessPoolExecutor(len(parts), mp_context=multiprocessing.get_context("spawn")) as solving:
+        keys, parts = np.array(list(scenes)), list[dict[int, Scene]]()
+        for first in range(0, len(keys), CHUNK):  # as `run` does
+            chunk = keys[first : first + CHUNK], patterns[first : first + CHUNK]
+            parts += [{int(k): scenes[k] for k in chunk[0][part]} for part in pool.divided(chunk[1], told.processes)]
+        with ProcessPoolExecutor(told.processes, mp_context=multiprocessing.get_context("spawn")) as solving:
             found = list(solving.map(batched, parts, [told] * len(parts)))
         forces = merged(found)
         if told.compare:
@@ -72,7 +75,7 @@ def arguments() -> argparse.Namespace:
     ask.add_argument("--processes", type=int, default=1, help="that share the GPU; start nvidia-cuda-mps-control first")
     ask.add_argument("--workers", type=int, default=multiprocessing.cpu_count(), help="processes, one a core")
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
-    ask.add_argument("--seconds", type=float, default=300.0, help="each part stops after so long")
+    ask.add_argument("--seconds", type=float, default=300.0, help="each process stops after so long")
     ask.add_argument("--warm", type=int, default=3, help="scenes to solve before the time counts")
     ask.add_argument("--dtype", choices=("float32", "float64"), default="float32", help="of the factors")
     ask.add_argument("--device", choices=("cpu", "cuda"), help="a GPU if there is one")
@@ -104,9 +107,11 @@ class Report:
     frames: Counter[int] = field(default_factory=Counter)
     seconds: Counter[Phase] = field(default_factory=Counter)
     use: scheduler.Use = field(default_factory=scheduler.Use)
-    elapsed: float = 0.0
+    begun: float = 0.0
+    ended: float = 0.0
     why: Counter[str] = field(default_factory=Counter)
     memory: float = 0.0
+    process: int = field(default_factory=os.getpid)
 
     def watch(
         self, advance: Callable[[Batch, Phase, list[int]], None], cuda: bool
@@ -127,22 +132,24 @@ def batched(scenes: dict[int, Scene], told: argparse.Namespace) -> Report:
     usable = [told.device] if told.device else (device.usable() or ["cpu"])
     memory, dtype, out = device.chosen(usable[0], MEMORY / told.processes), getattr(torch, told.dtype), Report()
     torch.set_num_threads(1)
-    for _ in pool.solved(list(scenes.values())[: told.warm], usable[0], dtype=dtype, memory=memory):
-        pass  # loads libraries, and compiles
+    if not STARTED:
+        for _ in pool.solved(list(scenes.values())[: told.warm], usable[0], dtype=dtype, memory=memory):
+            pass  # loads libraries, and compiles
+        STARTED.append(time.time())
     cuda, keys = usable[0].startswith("cuda"), list(scenes)
-    engine.advance = out.watch(engine.advance, cuda)  # type: ignore[assignment]
-    start, sizes = time.perf_counter(), {"slots": told.slots, "least": told.least, "memory": memory}
+    engine.advance = out.watch(ADVANCE, cuda)  # type: ignore[assignment]
+    out.begun, sizes = time.time(), {"slots": told.slots, "least": told.least, "memory": memory}
     try:
         for number, found in pool.solved(scenes.values(), usable[0], dtype=dtype, use=out.use, **sizes):
             out.forces[keys[number]] = forces_of(found.states)
             if found.why is not None:
                 out.why[str(found.why)[:70]] += 1
-            if time.perf_counter() - start > told.seconds:
+            if time.time() - STARTED[0] > told.seconds:
                 print("  out of time")
                 break
     except RuntimeError as error:  # as in `run`, the CPU engine has the scenes that are left
         out.why[f"a process stopped: {str(error).splitlines()[0][:90]}"] += len(scenes) - len(out.forces)
-    out.elapsed, out.memory = time.perf_counter() - start, torch.cuda.max_memory_reserved() if cuda else 0.0
+    out.ended, out.memory = time.time(), torch.cuda.max_memory_reserved() if cuda else 0.0
     return out
 
 
@@ -154,13 +161,16 @@ def merged(found: list[Report]) -> dict[int, Array]:
             of_all.update(mine)
         why.update(report.why)
     forces, total = {k: v for report in found for k, v in report.forces.items()}, sum(seconds.values())
-    frames, elapsed = sum((report.frames for report in found), Counter[int]()), max(r.elapsed for r in found)
+    frames, memory = sum((report.frames for report in found), Counter[int]()), dict[int, float]()
+    elapsed = max(report.ended for report in found) - min(report.begun for report in found)
     busiest = max(sum(frames[second + k] for k in range(WINDOW)) / WINDOW for second in frames)
-    mean, memory = scenes.total() / max(calls.total(), 1), sum(report.memory for report in found) / 1e9
+    mean = scenes.total() / max(calls.total(), 1)
+    for report in found:
+        memory[report.process] = max(memory.get(report.process, 0.0), report.memory / 1e9)
     print(
-        f"batch engine, {len(found)} processes: {len(forces)} scenes, {why.total()} of them not to their end,"
+        f"batch engine, {len(memory)} processes: {len(forces)} scenes, {why.total()} of them not to their end,"
         f" {frames.total()} frames in {elapsed:.1f} s: {frames.total() / elapsed:.1f} a second, {busiest:.1f} in the"
-        f" best {WINDOW} s; {mean:.1f} scenes a call, {memory:.1f} GB"
+        f" best {WINDOW} s; {mean:.1f} scenes a call, {sum(memory.values()):.1f} GB"
     )
     begun = min(frames)
     by_window = Counter[int]()
