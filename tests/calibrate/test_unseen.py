@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from tacgen import cli
 from tacgen.calibrate import clear_fits, fit_clear, led_fit, photos, press_faces, unseen
 from tacgen.calibrate.clear_trials import Tolerance
+from tacgen.calibrate.likeness import Likeness
 from tacgen.errors import UserError
 from tacgen.mechanics import NotConverged
 from tacgen.recipe import loading
@@ -48,6 +49,20 @@ def test_each_of_few_presses_is_left_out_once_and_a_third_of_more() -> None:
 )  # fmt: skip
 def test_a_gain_counts_beyond_its_standard_error(before: list[float], after: list[float], better: bool) -> None:
     assert unseen.Unseen((), (), (), np.array([before, after]), None).better == better
+
+
+@pytest.mark.parametrize(
+    ("counts", "better"),
+    [([4, 4, 4], True), ([3, 5, 6], True), ([5, 5, 6], True), ([5, 6, 6], False)],
+)  # fmt: skip
+def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(counts: list[float], better: bool) -> None:
+    none = np.full(3, np.nan)
+    before, after = (
+        Likeness(none, none, none, np.mean(each), 0.0, 0.0, np.array(each)) for each in ([5, 5, 6], [4, 3, 3])
+    )
+    one = unseen.Unseen((), (), (), np.array([[5, 5, 5], counts]), (before, after))
+    assert one.better == better
+    assert not replace(one, likeness=(after, before)).better
 
 
 def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
