@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--start", help="the sensor file to start from; the shipped one if not given")
     parser.add_argument("--tolerance-mm", type=float, default=0.5)
     parser.add_argument("--tolerance-deg", type=float, default=5.0)
-    parser.add_argument("--steps", type=int, default=10)
+    parser.add_argument("--steps", type=int, default=1)
     parser.add_argument("--but", action="append", default=[], help="part of the names of photographs to leave out")
     asked = parser.parse_args()
     unit = photographs.unit(asked.sensor, asked.photos)

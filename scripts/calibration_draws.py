@@ -145,7 +145,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
     parser.add_argument("--unit", choices=SENSOR, default="gelsight_mini_unit2")
     parser.add_argument("--given", type=int, default=5, help="presses that a fit is given")
-    parser.add_argument("--steps", type=int, default=10, help="tables of derivatives of a fit at most")
+    parser.add_argument("--steps", type=int, default=1, help="tables of derivatives at most, for each ridge")
     parser.add_argument("--wrong", choices=WRONG, default="", help="start from wrong lights")
     parser.add_argument(
         "--photos", type=Path, default=photographs.reference(), help="a folder, a unit in each folder of it"

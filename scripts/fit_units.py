@@ -52,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "recipes" / "units")
     parser.add_argument("--tolerance-mm", type=float, default=1.0)
-    parser.add_argument("--steps", type=int, default=8, help="iterations of a fit at most")
+    parser.add_argument("--steps", type=int, default=8, help="iterations of a fit at most, for each ridge")
     asked = parser.parse_args()
     if not mini_units.here():
         sys.exit(f"no photographs of three Minis in {photographs.reference()}")

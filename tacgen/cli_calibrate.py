@@ -27,7 +27,7 @@ def optics(
     ] = 0.5,
     tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")] = 5.0,
     no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")] = False,
-    steps: Annotated[int, typer.Option(min=1, help="Largest number of iterations of the fit.")] = 10,
+    steps: Annotated[int, typer.Option(min=1, help="Largest number of iterations of a fit, for each ridge.")] = 1,
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Draw unseen presses: photographed, and rendered before and after.")
     ] = None,

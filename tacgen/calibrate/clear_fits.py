@@ -17,7 +17,6 @@ from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 RIDGES = (300.0, 30.0, 3.0)  # tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
-FOLD_STEPS = 1  # tables of derivatives at most, for each ridge, of a fit that judges
 SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
 CLOSE, LITTLE = 0.02, 2e-3  # change of half a range, and gain of the loss, below which no further table is made
 DIFFERENCE = 0.02  # of half a range: step of the difference quotients
@@ -27,10 +26,10 @@ class Fits(Trials):
     """Fits to all photographs, and to all but some that judge them."""
 
     def whole(self, ridge: float, steps: int) -> Fitted:
-        """The fit to all pictures."""
+        """The fit to all pictures, made as those are that judge it, with at most `steps` tables for each ridge."""
         every, begin = list(range(len(self.pictures))), self._start
         for hold in RIDGES[: RIDGES.index(ridge) + 1]:
-            begin, lights = self._search(begin, every, hold, steps if hold == ridge else FOLD_STEPS)
+            begin, lights = self._search(begin, every, hold, steps)
         rows = self.rows(self.all_columns(begin, every), every)
         misfits = self.misfits(rows, lights)
         shown = self.misfits(self.rows([self.columns(self._start, 0)], [0]), self.own)
@@ -50,7 +49,7 @@ class Fits(Trials):
             for number in range(1 + len(RIDGES)):
                 if number:
                     ridge = RIDGES[number - 1]
-                    v, lights = self._search(v, seen, ridge, min(steps, FOLD_STEPS))
+                    v, lights = self._search(v, seen, ridge, steps)
                     made[number - 1].append(self._sensor(v, lights))
                 left = self.misfits(self.rows(self.all_columns(v, [0, *held_out]), held_out), lights)
                 counts[number] += [rms([one]) for one in left]

@@ -29,7 +29,7 @@ class FitLimits:
     mm: float = 0.5  # tolerance of the LEDs' positions and of the crop [mm]
     deg: float = 5.0  # tolerance of the LEDs' directions [deg]
     bare: bool = False  # the photographed gel has no markers, whatever the sensor file says
-    steps: int = 10  # Jacobians at most
+    steps: int = 1  # Jacobians at most, for each ridge
 
 
 @dataclass(frozen=True)

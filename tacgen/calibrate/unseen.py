@@ -44,12 +44,10 @@ class Unseen:
     @property
     def better(self) -> bool:
         """Whether the fit helps: the mean gain exceeds its standard error, of normals where they are known, else of
-        counts, and the counts do not rise."""
-        judged = self.counts if self.degrees is None else self.degrees
-        gain = judged[0] - judged[1]
-        error = gain.std(ddof=1) / np.sqrt(len(gain))
-        before, after = self.counts.mean(axis=1)
-        return bool(gain.mean() > error and after <= before)
+        counts, and the counts do not rise by more than theirs."""
+        gain, error = _gain(self.counts if self.degrees is None else self.degrees)
+        counts, scatter = _gain(self.counts)
+        return bool(gain > error and counts >= -scatter)
 
     def __str__(self) -> str:
         parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]
@@ -67,6 +65,12 @@ class Unseen:
             "degrees": None if self.degrees is None else self.degrees.tolist(),
             "likeness": [like.plain() for like in self.likeness or ()],
         }  # fmt: skip
+
+
+def _gain(scores: Array) -> tuple[float, float]:
+    """Mean over presses of what a score (2, presses) falls by, and the standard error of that mean."""
+    gains = scores[0] - scores[1]
+    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
 def _change(scores: Array, unit: str) -> str:

@@ -112,7 +112,7 @@ def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_p
     ]
     unit = sensor(leds=moved, camera={**FINE, "noise": {"shot": 1e-4, "read": 0.002, "source": "t"}}, markers=None)
     folder = photographed(unit, tmp_path / "unit")
-    still, free = (led_fit.optics(str(nominal), folder, led_fit.FitLimits(mm, 5.0, steps=3)).fitted for mm in (0, 0.5))
+    still, free = (led_fit.optics(str(nominal), folder, led_fit.FitLimits(mm, 5.0)).fitted for mm in (0, 0.5))
     assert free.untouched < 0.5 * still.untouched
     assert free.unseen.counts[1].mean() < 0.8 * still.unseen.counts[1].mean()
     assert free.untouched < 1.0

@@ -11,7 +11,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from tacgen import cli
-from tacgen.calibrate import fit_clear, led_fit, photos, press_faces, unseen
+from tacgen.calibrate import clear_fits, fit_clear, led_fit, photos, press_faces, unseen
+from tacgen.calibrate.clear_trials import Tolerance
+from tacgen.calibrate.likeness import Likeness
 from tacgen.errors import UserError
 from tacgen.mechanics import NotConverged
 from tacgen.recipe import loading
@@ -47,6 +49,32 @@ def test_each_of_few_presses_is_left_out_once_and_a_third_of_more() -> None:
 )  # fmt: skip
 def test_a_gain_counts_beyond_its_standard_error(before: list[float], after: list[float], better: bool) -> None:
     assert unseen.Unseen((), (), (), np.array([before, after]), None).better == better
+
+
+@pytest.mark.parametrize(
+    ("counts", "better"),
+    [([4, 4, 4], True), ([3, 5, 6], True), ([5, 5, 6], True), ([5, 6, 6], False)],
+)  # fmt: skip
+def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(counts: list[float], better: bool) -> None:
+    none = np.full(3, np.nan)
+    before, after = (
+        Likeness(none, none, none, np.mean(each), 0.0, 0.0, np.array(each)) for each in ([5, 5, 6], [4, 3, 3])
+    )
+    one = unseen.Unseen((), (), (), np.array([[5, 5, 5], counts]), (before, after))
+    assert one.better == better
+    assert not replace(one, likeness=(after, before)).better
+
+
+def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A judging fit from which no press is left out is the written one."""
+    monkeypatch.setattr(clear_fits, "RIDGES", (30.0, 3.0))
+    moved = [{**led, "center_mm": np.add(led["center_mm"], [0.2, 0.1, 0.2]).tolist()} for led in PLAIN["leds"]]
+    file, unit = sensor(camera=FINE, markers=None), sensor(leds=moved, camera=FINE, markers=None)
+    read = photos.read(photographed(unit, tmp_path / "unit", PRESSES[:2]), file.camera)
+    faces = [press_faces.face(file, press, {}) for press in read.presses]
+    trial = clear_fits.Fits(file, read, faces, Tolerance(0.5, 0.1), bare=True)
+    _, (_, (judging,)) = trial.judged([[]], 2)
+    assert trial.whole(3.0, 2).sensor == judging
 
 
 def test_worse_scores_are_told_before_and_after() -> None:
