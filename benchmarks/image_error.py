@@ -96,7 +96,8 @@ class Paths:
 
     @cached_property
     def _tracer(self) -> PathTracer:
-        return PathTracer(self.sensor, Sheet.over(self.sensor.gel, traced_maps.SPACING), self.markers, self.variant)
+        sheet = Sheet.over(self.sensor.gel, traced_maps.spacing(self.sensor))
+        return PathTracer(self.sensor, sheet, self.markers, self.variant)
 
     def seen(self, at: Samples) -> Array:
         """Linear radiance (H, W, 3), nan outside the windows."""

@@ -173,7 +173,7 @@ class Renderer:
             raise ValueError(f"spp must be at least 1, not {spp}")
         self.sensor = sensor
         effort, self.untouched = TransportEffort.of(spp), untouched or Untouched.of(sensor.gel)
-        self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
+        self.sheet = Sheet.over(sensor.gel, traced_maps.spacing(sensor) if method == "path" else effort.spacing)
         self._view = CameraView(sensor, self.sheet, markers, effort.samples)
         self._stray = (
             self._view.samples_of(camera_response.stray(sensor.camera)) if any(sensor.camera.ambient) else None

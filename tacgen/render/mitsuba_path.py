@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
 MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
 MAX_DEPTH = 12  # path vertices, interfaces included
-MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel; with Russian roulette from MAX_DEPTH on
+MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel
 BLOCK = 8  # side of the blocks that scalar variants render [px]
 LANES = 2**25  # paths that variants with compiled kernels trace at once; each takes some 100 bytes
 FILM = "sensor.film"
@@ -83,9 +83,13 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
 
 
 def integrator(sensor: "LitSensor") -> dict[str, Any]:
-    """`path`, or `volpath` where a layer scatters, or light goes through an LED."""
+    """`path`, or `volpath` where a layer scatters, or light goes through an LED.
+
+    In a gel that scatters no path ends by Russian roulette: Mitsuba's ends one in twenty at each vertex, whatever light
+    it carries, and the first vertices, which all paths share, take most of the time.
+    """
     if mitsuba_dicts.scatters(sensor):
-        return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH}
+        return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH_SCATTERING}
     return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
 
 

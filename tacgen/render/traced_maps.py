@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tacgen import array_cache
-from tacgen.optics import scattering
+from tacgen.optics import mitsuba_dicts, scattering
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
@@ -42,7 +42,7 @@ LINEAR = {
 }  # of the camera: what is laid over a picture's light
 PATTERN = {"grain", "marks", "wear"}  # of the coating: the same
 MAP_VERSION = 10  # of how the maps are made; part of their cache key
-SCATTERED_VERSION = 1  # of how `scattered` is made; part of its key in the cache
+SCATTERED_VERSION = 2  # of how `scattered` is made; part of its key in the cache
 CHANGED = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
 
 
@@ -79,7 +79,7 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
         return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
 
     def fitted_reach() -> "Floats":
-        clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, SPACING)
+        clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, spacing(sensor))
         middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
         size, contact = (share * clear for share in scattering.DENT)
         dent = BallDent(size, contact, (middle[0], middle[1]), untouched, clear)
@@ -96,6 +96,12 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
     alone = array_cache.kept_one("untouched", name, trace)
     bright = scattering.Brightness.through(shares, array_cache.kept_one("brightness", name, tabulate))
     return Scattered(alone, bright, float(array_cache.kept_one("wander", name, fitted_reach)))
+
+
+def spacing(sensor: "LitSensor") -> float:
+    """Distance of the nodes of a face that is traced [mm]: twice as large in a gel that scatters, which shows how thick
+    it is and not its slopes."""
+    return SPACING * (2 if mitsuba_dicts.scatters(sensor) else 1)
 
 
 def around(there: "NDArray[np.bool_]", margin: int) -> Window:

@@ -239,3 +239,32 @@ def test_sampling_directions_toward_leds_changes_only_the_noise_of_a_gel_that_sc
     noise = np.std(light, axis=1, ddof=1).max() / np.sqrt(2)
     assert np.subtract(*np.mean(light, axis=1)) == pytest.approx(0.0, abs=5 * noise)
     assert 5 * noise < 0.05 * np.mean(light)
+
+
+def test_roulette_would_add_noise_to_a_gel_that_scatters(monkeypatch) -> None:
+    """Mitsuba's ends one path in twenty at each vertex, also paths that carry all their light."""
+    base = sensor().gel.layers[0]
+    dense = base.scattering.model_copy(update={"extinction_per_mm": 3.0, "albedo": (0.99,) * 3})
+    layers = (base.model_copy(update={"scattering": dense}), *sensor().gel.layers[1:])
+    milky = sensor().model_copy(update={"gel": sensor().gel.model_copy(update={"layers": layers})})
+    chosen, noise, light = mitsuba_path.integrator(milky), [], []
+    for how in (chosen, {**chosen, "rr_depth": 12}):
+        monkeypatch.setattr(mitsuba_path, "integrator", lambda _, how=how: how)
+        tracer = PathTracer(milky, Sheet.over(milky.gel, 1.0), False, mitsuba_variants.SCALAR)
+        pictures = np.array([tracer.radiance(FACE, 16, k) for k in range(6)])
+        noise.append(np.sqrt(pictures.var(0, ddof=1).mean()) / pictures.mean())
+        light.append(pictures.mean())
+    assert noise[1] > 1.15 * noise[0]
+    assert light[1] == pytest.approx(light[0], rel=0.02)
+
+
+def test_a_traced_face_of_a_gel_that_scatters_needs_half_as_many_nodes_along_each_side() -> None:
+    digit = loading.read_sensor(assets.sensor_path("digit"))[0]
+    assert traced_maps.spacing(sensor()) == 2 * traced_maps.spacing(digit)
+    light = []
+    for spacing in (traced_maps.spacing(digit), traced_maps.spacing(sensor())):
+        tracer = PathTracer(sensor(), Sheet.over(sensor().gel, spacing), False, mitsuba_variants.SCALAR)
+        light.append(tracer.radiance(DENT, 256, 1).reshape(8, 4, 10, 4, 3).mean((1, 3)))  # the same random numbers
+    assert light[1] == pytest.approx(light[0], rel=0.02)
+    assert light[1].mean() == pytest.approx(light[0].mean(), rel=1e-3)
+    assert images.Renderer(sensor(), 1, 0, False, mitsuba_variants.SCALAR, "path").sheet.shape == tracer.sheet.shape
