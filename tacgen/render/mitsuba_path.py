@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
 
 Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
+SPACING = 0.1  # of the nodes of a deformed sheet [mm]
+SPACING_SCATTERING = 0.3  # the same in a scattering gel: its light spreads by more than 1 mm sideways
 MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
 MAX_DEPTH = 12  # path vertices, interfaces included
 MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel
@@ -80,6 +82,11 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
     if markers and sensor.markers is not None:
         coat = coating.dotted(coat, sensor.markers, coating.mask(sensor.markers, sheet.size, MASK_PIXEL))
     return scene, coat
+
+
+def traced_sheet(sensor: "LitSensor") -> Sheet:
+    """The nodes of a deformed face that is traced."""
+    return Sheet.over(sensor.gel, SPACING_SCATTERING if mitsuba_dicts.scatters(sensor) else SPACING)
 
 
 def integrator(sensor: "LitSensor") -> dict[str, Any]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tacgen import array_cache
-from tacgen.optics import mitsuba_dicts, scattering
+from tacgen.optics import scattering
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer, Window
+from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, SPACING, PathTracer, Window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SPACING = 0.1  # of the nodes of a deformed sheet [mm]
 FLAT_SPACING = 1.0  # of the nodes of a sheet that stays flat [mm]
 COLUMNS = 40  # width of a traced map [px], whatever the image's
 PATHS = 64  # paths in a pixel of a map for each sample a pixel (spp)
@@ -79,7 +78,7 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
         return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
 
     def fitted_reach() -> "Floats":
-        clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, spacing(sensor))
+        clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, SPACING)
         middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
         size, contact = (share * clear for share in scattering.DENT)
         dent = BallDent(size, contact, (middle[0], middle[1]), untouched, clear)
@@ -96,12 +95,6 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
     alone = array_cache.kept_one("untouched", name, trace)
     bright = scattering.Brightness.through(shares, array_cache.kept_one("brightness", name, tabulate))
     return Scattered(alone, bright, float(array_cache.kept_one("wander", name, fitted_reach)))
-
-
-def spacing(sensor: "LitSensor") -> float:
-    """Distance of the nodes of a face that is traced [mm]: twice as large in a gel that scatters, which shows how thick
-    it is and not its slopes."""
-    return SPACING * (2 if mitsuba_dicts.scatters(sensor) else 1)
 
 
 def around(there: "NDArray[np.bool_]", margin: int) -> Window:
