@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
 SPACING = 0.1  # of the nodes of a deformed sheet [mm]
-SPACING_SCATTERING = 0.3  # the same in a scattering gel: its light spreads by more than 1 mm sideways
+SPACING_SCATTERING = 0.3  # the same in a scattering gel, whose light spreads further sideways (9DTact: 0.7 mm)
 MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
 MAX_DEPTH = 12  # path vertices, interfaces included
 MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel
