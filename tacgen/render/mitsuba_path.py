@@ -159,7 +159,8 @@ class PathTracer:
         mi = self._mi = mitsuba(variant)
         scene, coat = description(sensor, sheet, markers)
         uv = sheet.uv if markers and sensor.markers else None  # dots are the only texture
-        face = mesh(mi, sheet.at(Untouched()), sheet.faces, {"bsdf": coat}, uv, smooth=True)
+        slopes = not mitsuba_dicts.scatters(sensor)  # hardly seen there, and most paths meet the face
+        face = mesh(mi, sheet.at(Untouched()), sheet.faces, {"bsdf": coat}, uv, smooth=slopes)
         # merged shapes would stand in another order each time, and the LEDs so draw other random numbers
         self._scene = mi.load_dict(realise(mi, scene) | {"face": face}, parallel=False, optimize=False)
         self._params = mi.traverse(self._scene)

@@ -217,3 +217,4 @@ def test_only_a_coat_with_dots_has_texture_coordinates() -> None:
         tracer = PathTracer(sensor(), Sheet.over(sensor().gel, 1.0), markers, mitsuba_variants.SCALAR)
         textured = {shape.id() for shape in tracer._scene.shapes() if shape.has_vertex_texcoords()}
         assert textured == ({"face"} if markers else set())
+        assert {shape.id() for shape in tracer._scene.shapes() if shape.has_vertex_normals()} == {"face"}
