@@ -158,9 +158,11 @@ class PathTracer:
         self.sheet, self.variant = sheet, variant
         mi = self._mi = mitsuba(variant)
         scene, coat = description(sensor, sheet, markers)
-        uv = sheet.uv if markers and sensor.markers else None  # dots are the only texture
-        slopes = not mitsuba_dicts.scatters(sensor)  # hardly seen there, and most paths meet the face
-        face = mesh(mi, sheet.at(Untouched()), sheet.faces, {"bsdf": coat}, uv, smooth=slopes)
+        # texture coordinates place dots, and turn the frame in which stratified directions are sampled; a skin under a
+        # gel that scatters shows neither these nor slopes
+        plain = mitsuba_dicts.scatters(sensor) and not (markers and sensor.markers)
+        uv = None if plain else sheet.uv
+        face = mesh(mi, sheet.at(Untouched()), sheet.faces, {"bsdf": coat}, uv, smooth=not plain)
         # merged shapes would stand in another order each time, and the LEDs so draw other random numbers
         self._scene = mi.load_dict(realise(mi, scene) | {"face": face}, parallel=False, optimize=False)
         self._params = mi.traverse(self._scene)

@@ -211,10 +211,15 @@ def test_a_rectangle_is_mitsubas_own_without_texture_coordinates() -> None:
     assert made.emitter() is not None
 
 
-def test_only_a_coat_with_dots_has_texture_coordinates() -> None:
-    """They are interpolated at each hit: a tenth of the time of a picture."""
-    for markers in (True, False):
-        tracer = PathTracer(sensor(), Sheet.over(sensor().gel, 1.0), markers, mitsuba_variants.SCALAR)
-        textured = {shape.id() for shape in tracer._scene.shapes() if shape.has_vertex_texcoords()}
-        assert textured == ({"face"} if markers else set())
-        assert {shape.id() for shape in tracer._scene.shapes() if shape.has_vertex_normals()} == {"face"}
+def test_texture_coordinates_of_the_face_keep_its_stratified_directions_stratified(monkeypatch) -> None:
+    """They turn the frame in which directions are sampled; without, each triangle has a frame of its own."""
+    own, noise = mitsuba_path.mesh, []
+    for kept in (True, False):
+        tracer = PathTracer(sensor(), Sheet.over(sensor().gel, 0.1), False, mitsuba_variants.SCALAR)
+        shapes = tracer._scene.shapes()
+        assert {shape.id() for shape in shapes if shape.has_vertex_texcoords()} == ({"face"} if kept else set())
+        assert {shape.id() for shape in shapes if shape.has_vertex_normals()} == {"face"}
+        pictures = np.array([tracer.radiance(Untouched(), 256, k) for k in range(4)])
+        noise.append(np.sqrt(pictures.var(0, ddof=1).mean()))
+        monkeypatch.setattr(mitsuba_path, "mesh", lambda *parts, smooth=False: own(*parts[:4], smooth=smooth))
+    assert noise[1] > 1.05 * noise[0]
