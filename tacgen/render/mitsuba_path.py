@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
+    Integers = NDArray[np.integer[Any]]
 
 Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
 SPACING = 0.1  # of the nodes of a deformed sheet [mm]
