@@ -21,12 +21,12 @@ from tacgen import array_cache, mechanics
 from tacgen.mechanics import mesh
 from tacgen.optics import camera_response
 from tacgen.optics.camera_view import Samples
-from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.optics.surface_grid import Surface, Untouched
 from tacgen.outputs import gel_surface
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.model import QUALITIES
 from tacgen.render import images, mitsuba_variants, traced_maps
-from tacgen.render.mitsuba_path import PathTracer, Window
+from tacgen.render.mitsuba_path import PathTracer, Window, traced_sheet
 from tacgen.sensor.model import Camera, LitSensor
 
 Array = np.ndarray
@@ -96,7 +96,7 @@ class Paths:
 
     @cached_property
     def _tracer(self) -> PathTracer:
-        return PathTracer(self.sensor, Sheet.over(self.sensor.gel, traced_maps.SPACING), self.markers, self.variant)
+        return PathTracer(self.sensor, traced_sheet(self.sensor), self.markers, self.variant)
 
     def seen(self, at: Samples) -> Array:
         """Linear radiance (H, W, 3), nan outside the windows."""
@@ -113,10 +113,10 @@ class Paths:
     def _trace(self, at: Samples) -> Array:
         tracer, started = self._tracer, time.process_time()
         if self.windows:
-            made = tracer.windows(at.nodes, self.windows, self.spp, self.looks)
+            made = tracer.windows(tracer.sheet.at(at.surface), self.windows, self.spp, self.looks)
         else:
             parts = range(-(-self.spp // MAX_SPP))
-            traced = [tracer.render(at.nodes, min(self.spp, MAX_SPP), 1000 * self.looks + i) for i in parts]
+            traced = [tracer.radiance(at.surface, min(self.spp, MAX_SPP), 1000 * self.looks + i) for i in parts]
             made = np.mean(traced, axis=0)
         self.seconds += time.process_time() - started
         return made.astype(np.float32)

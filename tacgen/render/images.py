@@ -27,10 +27,9 @@ from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import Direct
 from tacgen.optics.interreflection import Radiosity
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
-from tacgen.render import jpeg, traced_maps
+from tacgen.render import jpeg, mitsuba_path, traced_maps
 from tacgen.render import mitsuba_variants as probing
-from tacgen.render.mitsuba_path import PathTracer
-from tacgen.render.traced_maps import SPACING
+from tacgen.render.mitsuba_path import SPACING, PathTracer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,15 +54,15 @@ class Light(Protocol):
 class Traced:
     """Mitsuba's paths, with noise of its own for each image."""
 
-    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, seed: int, variant: str) -> None:
-        self._tracer = PathTracer(sensor, sheet, markers, variant)
+    def __init__(self, sensor: "LitSensor", markers: bool, spp: int, seed: int, variant: str) -> None:
+        self._tracer = PathTracer(sensor, mitsuba_path.traced_sheet(sensor), markers, variant)
         self._spp, self._seed, self._images = spp, seed, 0
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), noisy."""
         self._images += 1
         seed = int(np.random.SeedSequence((self._seed, self._images)).generate_state(1)[0])
-        return self._tracer.render(at.nodes, self._spp, seed)
+        return self._tracer.radiance(at.surface, self._spp, seed)
 
 
 class Clear:
@@ -192,7 +191,7 @@ class Renderer:
         variant = variant or probing.best().variant
         self.name = f"mitsuba {version('mitsuba')} {variant}"
         if method == "path":
-            self.light = Traced(sensor, self.sheet, markers, spp, seed, variant)
+            self.light = Traced(sensor, markers, spp, seed, variant)
         else:
             self.light = Cloudy(sensor, self.sheet, markers, spp, variant)
 

@@ -3,7 +3,6 @@ only, inside functions."""
 
 import math
 import os
-import tempfile
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -20,11 +19,14 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
+    Integers = NDArray[np.integer[Any]]
 
 Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
+SPACING = 0.1  # of the nodes of a deformed sheet [mm]
+SPACING_SCATTERING = 0.3  # the same in a scattering gel, whose light spreads further sideways (9DTact: 0.7 mm)
 MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
 MAX_DEPTH = 12  # path vertices, interfaces included
-MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel; with Russian roulette from MAX_DEPTH on
+MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel
 BLOCK = 8  # side of the blocks that scalar variants render [px]
 LANES = 2**25  # paths that variants with compiled kernels trace at once; each takes some 100 bytes
 FILM = "sensor.film"
@@ -82,10 +84,19 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
     return scene, coat
 
 
+def traced_sheet(sensor: "LitSensor") -> Sheet:
+    """The nodes of a deformed face that is traced."""
+    return Sheet.over(sensor.gel, SPACING_SCATTERING if mitsuba_dicts.scatters(sensor) else SPACING)
+
+
 def integrator(sensor: "LitSensor") -> dict[str, Any]:
-    """`path`, or `volpath` where a layer scatters, or light goes through an LED."""
+    """`path`, or `volpath` where a layer scatters, or light goes through an LED.
+
+    In a gel that scatters no path ends by Russian roulette: Mitsuba's ends one in twenty at each vertex, whatever light
+    it carries, and the first vertices, which all paths share, take most of the time.
+    """
     if mitsuba_dicts.scatters(sensor):
-        return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH}
+        return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH_SCATTERING}
     return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
 
 
@@ -96,7 +107,15 @@ def stratified(spp: int) -> int:
 
 
 def realise(mi: Any, node: Any) -> Any:
-    """A plain dictionary with its arrays turned into Mitsuba's transforms and bitmaps."""
+    """A plain dictionary with its arrays turned into Mitsuba's transforms and bitmaps, its rectangles into meshes.
+
+    Mitsuba's own rectangle is a mesh with texture coordinates, which are interpolated wherever a ray meets it: a
+    tenth of a picture's time, and no LED, wall or interface has a texture.
+    """
+    if isinstance(node, dict) and node.get("type") == "rectangle":
+        corners = node["to_world"] @ np.array([[-1, 1, 1, -1], [-1, -1, 1, 1], [0, 0, 0, 0], [1, 1, 1, 1]])
+        parts = {k: v for k, v in node.items() if k not in ("type", "to_world")}
+        return mesh(mi, corners[:3].T, np.array([[0, 1, 2], [0, 2, 3]]), parts)
     if isinstance(node, dict):
         return {k: realise(mi, v) for k, v in node.items()}
     if isinstance(node, np.ndarray):
@@ -109,20 +128,44 @@ def realise(mi: Any, node: Any) -> Any:
     return node
 
 
+def mesh(
+    mi: Any,
+    points: "Floats",
+    faces: "Integers",
+    parts: dict[str, Any],
+    uv: "Floats | None" = None,
+    smooth: bool = False,
+) -> Any:
+    """Triangles `faces` (m, 3) of points (n, 3) [mm] with texture coordinates (n, 2), if any, and normals that are
+    interpolated if `smooth`; `parts` are plain dictionaries of its BSDF, emitter and media."""
+    props = mi.Properties()
+    for name, part in parts.items():
+        props[name] = mi.load_dict(realise(mi, part), parallel=False, optimize=False)
+    made = mi.Mesh("", len(points), len(faces), props, has_vertex_normals=smooth, has_vertex_texcoords=uv is not None)
+    params = mi.traverse(made)
+    params["faces"], params["vertex_positions"] = faces.ravel(), points.astype(np.float32).ravel()
+    if uv is not None:
+        params["vertex_texcoords"] = uv.astype(np.float32).ravel()
+    params.update()
+    return made
+
+
 class PathTracer:
     """One sensor in Mitsuba. The scene is built once and only vertices move, because `load_dict` never frees all."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, variant: str) -> None:
         """Imports Mitsuba and switches it to `variant`."""
         self.sheet, self.variant = sheet, variant
-        self._mi = mitsuba(variant)
+        mi = self._mi = mitsuba(variant)
         scene, coat = description(sensor, sheet, markers)
-        built = realise(self._mi, scene)
+        # texture coordinates place dots, and turn the frame in which stratified directions are sampled; a skin under a
+        # gel that scatters shows neither these nor slopes
+        plain = mitsuba_dicts.scatters(sensor) and not (markers and sensor.markers)
+        uv = None if plain else sheet.uv
+        face = mesh(mi, sheet.at(Untouched()), sheet.faces, {"bsdf": coat}, uv, smooth=not plain)
         # merged shapes would stand in another order each time, and the LEDs so draw other random numbers
-        built["face"] = self._mesh(self._mi.load_dict(realise(self._mi, coat), parallel=False, optimize=False))
-        self._scene = self._mi.load_dict(built, parallel=False, optimize=False)
-        self._params = self._mi.traverse(self._scene)
-        self._vertices = next(k for k, _ in self._params if k.endswith("vertex_positions"))
+        self._scene = mi.load_dict(realise(mi, scene) | {"face": face}, parallel=False, optimize=False)
+        self._params = mi.traverse(self._scene)
 
     def radiance(self, surface: Surface, spp: int, seed: int) -> "Floats":
         """Linear radiance (H, W, 3): unbiased, noisy, the same for a seed at any thread count."""
@@ -150,7 +193,7 @@ class PathTracer:
 
     def _move(self, nodes: "Floats") -> None:
         self._mi.set_variant(self.variant)
-        self._params[self._vertices] = nodes.astype(np.float32).ravel()
+        self._params["face.vertex_positions"] = nodes.astype(np.float32).ravel()
         self._params.update()
 
     def _traced(self, spp: int, seed: int) -> "Floats":
@@ -161,20 +204,6 @@ class PathTracer:
         paths = stratified(-(-spp // count))
         made = [np.array(self._mi.render(self._scene, spp=paths, seed=s), dtype=np.float64) for s in seeds]
         return np.asarray(np.mean(made, axis=0))
-
-    def _mesh(self, bsdf: Any) -> Any:
-        mi, sheet, faces = self._mi, self.sheet, self.sheet.faces
-        props = mi.Properties()
-        props["bsdf"] = bsdf
-        mesh = mi.Mesh(
-            "face", len(sheet.uv), len(faces), has_vertex_normals=True, has_vertex_texcoords=True, props=props
-        )
-        params = mi.traverse(mesh)
-        params["faces"] = faces.ravel()
-        params["vertex_texcoords"] = sheet.uv.astype(np.float32).ravel()
-        params["vertex_positions"] = sheet.at(Untouched()).astype(np.float32).ravel()
-        params.update()
-        return mesh
 
 
 def rest(sensor: "LitSensor", sheet: Sheet, surface: Surface, spp: int, variant: str) -> "Floats":
@@ -190,16 +219,10 @@ def rest(sensor: "LitSensor", sheet: Sheet, surface: Surface, spp: int, variant:
     surfaces = 1 + sum(name.startswith("into_") for name in scene)
     scene["integrator"] |= {"max_depth": surfaces, "rr_depth": surfaces + 1}
     scene["sensor"]["sampler"] = {"type": "stratified", "sample_count": spp}
-    nodes, faces = sheet.at(surface), sheet.faces
-    mesh = mi.Mesh("face", len(nodes), len(faces))
-    mesh.add_attribute("vertex_uv1", 3, np.column_stack([sheet.uv, np.ones(len(nodes))]).astype(np.float32).ravel())
-    params = mi.traverse(mesh)
-    params["faces"], params["vertex_positions"] = faces.ravel(), nodes.astype(np.float32).ravel()
-    params.update()
-    with tempfile.TemporaryDirectory() as folder:  # an emitter only comes to a mesh by way of a file
-        mesh.write_ply(file := os.path.join(folder, "face.ply"))
-        glow = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_uv1"}}
-        built = realise(mi, scene) | {"face": {"type": "ply", "filename": file, "emitter": glow}}
-        u, v, one = np.moveaxis(np.array(mi.render(mi.load_dict(built), spp=spp), dtype=np.float64), -1, 0)
+    glow = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_uv1"}}
+    face = mesh(mi, sheet.at(surface), sheet.faces, {"emitter": glow})
+    face.add_attribute("vertex_uv1", 3, np.column_stack([sheet.uv, np.ones(len(sheet.uv))]).astype(np.float32).ravel())
+    built = mi.load_dict(realise(mi, scene) | {"face": face})
+    u, v, one = np.moveaxis(np.array(mi.render(built, spp=spp), dtype=np.float64), -1, 0)
     with np.errstate(invalid="ignore"):  # off the pad nothing radiates
         return np.asarray((np.stack([u, v], axis=-1) / one[..., None] - 0.5) * sheet.size)

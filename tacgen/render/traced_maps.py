@@ -13,7 +13,7 @@ from tacgen.optics import scattering
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer, Window
+from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, SPACING, PathTracer, Window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SPACING = 0.1  # of the nodes of a deformed sheet [mm]
 FLAT_SPACING = 1.0  # of the nodes of a sheet that stays flat [mm]
 COLUMNS = 40  # width of a traced map [px], whatever the image's
 PATHS = 64  # paths in a pixel of a map for each sample a pixel (spp)
@@ -42,7 +41,7 @@ LINEAR = {
 }  # of the camera: what is laid over a picture's light
 PATTERN = {"grain", "marks", "wear"}  # of the coating: the same
 MAP_VERSION = 10  # of how the maps are made; part of their cache key
-SCATTERED_VERSION = 1  # of how `scattered` is made; part of its key in the cache
+SCATTERED_VERSION = 2  # of how `scattered` is made; part of its key in the cache
 CHANGED = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
 
 

@@ -191,3 +191,35 @@ def test_pictures_are_the_same_at_any_thread_count():
     assert pictures[0].max() > 0
     assert np.array_equal(pictures[0], pictures[1])
     assert np.array_equal(pictures[0], pictures[2])
+
+
+def test_a_rectangle_is_mitsubas_own_without_texture_coordinates() -> None:
+    mi, node = mitsuba(mitsuba_variants.SCALAR), mitsuba_dicts.lights(lit(0))["led_0"]
+    turned = mi.ScalarTransform4f(node["to_world"].tolist())
+    own, made = mi.load_dict({"type": "rectangle", "to_world": turned}), realise(mi, node)
+    assert (made.has_vertex_texcoords(), made.has_vertex_normals()) == (False, False)
+    assert made.surface_area() == pytest.approx(own.surface_area()) == pytest.approx(SIZE[0] * SIZE[1])
+    assert np.ravel([made.bbox().min, made.bbox().max]) == pytest.approx(
+        np.ravel([own.bbox().min, own.bbox().max]), abs=1e-6
+    )
+    scenes = [mi.load_dict({"type": "scene", "shape": one}) for one in (own, made)]
+    away = np.array(mitsuba_dicts.frame(PLACE["normal"], [0, 0, 1])[:, 2])
+    ray = mi.Ray3f(mi.Point3f((PLACE["center_mm"] + away).tolist()), mi.Vector3f((-away).tolist()))
+    normals = [np.array(one.ray_intersect(ray).n) for one in scenes]
+    assert normals[1] == pytest.approx(away, abs=1e-6)
+    assert normals[1] == pytest.approx(normals[0], abs=1e-6)
+    assert made.emitter() is not None
+
+
+def test_texture_coordinates_of_the_face_keep_its_stratified_directions_stratified(monkeypatch) -> None:
+    """They turn the frame in which directions are sampled; without, each triangle has a frame of its own."""
+    own, noise = mitsuba_path.mesh, []
+    for kept in (True, False):
+        tracer = PathTracer(sensor(), Sheet.over(sensor().gel, 0.1), False, mitsuba_variants.SCALAR)
+        shapes = tracer._scene.shapes()
+        assert {shape.id() for shape in shapes if shape.has_vertex_texcoords()} == ({"face"} if kept else set())
+        assert {shape.id() for shape in shapes if shape.has_vertex_normals()} == {"face"}
+        pictures = np.array([tracer.radiance(Untouched(), 256, k) for k in range(4)])
+        noise.append(np.sqrt(pictures.var(0, ddof=1).mean()))
+        monkeypatch.setattr(mitsuba_path, "mesh", lambda *parts, smooth=False: own(*parts[:4], smooth=smooth))
+    assert noise[1] > 1.05 * noise[0]
