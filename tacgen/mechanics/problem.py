@@ -79,8 +79,8 @@ class Problem:
 
     @classmethod
     def of_known_frames(cls, scene: Scene, mesh: GelMesh, *, stress: bool = False) -> "Problem":
-        """Of a scene whose frames another engine solves: its contact, its layers' laws, and if there will be `stress`
-        their elements; neither matrices nor the folding barrier, which take most of the time to set up."""
+        """For labels of a scene whose frames another engine solves: contact, laws of the layers and, for
+        `stress`, their elements; neither matrices nor the folding barrier, which take most of the time to set up."""
         some = mesh.cells if stress else mesh.cells[:0]
         layer = mesh.layer[: len(some)]
         elastic = tuple(
