@@ -6,6 +6,7 @@ from functools import cache
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from helpers import tiny
 from helpers.blocks import block
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from threadpoolctl import threadpool_info, threadpool_limits
 from typer.testing import CliRunner
 
 import benchmarks as bench
@@ -237,6 +239,20 @@ def test_chosen_pixels_stand_for_the_picture() -> None:
 
 
 QUICK = {"peers"}  # the others take several scenes or processes each
+
+
+def test_a_bench_has_one_thread_though_numpy_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second one would wait, and count as processor seconds."""
+    seen: list[int] = []
+
+    def threads(*_: object) -> NoReturn:
+        seen.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        raise results_page.Absent("nothing to measure")
+
+    monkeypatch.setattr(bench, "import_module", lambda name: SimpleNamespace(bench=threads))
+    with threadpool_limits(2):
+        assert bench.run(["cost"], tmp_path, "smoke", print) == []
+    assert set(seen) == {1}
 
 
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in bench.BENCHES])
