@@ -162,7 +162,7 @@ def test_a_chunk_is_begun_while_the_one_before_is_solved(tmp_path: Path, monkeyp
 
     def solve(name: str, place: Path) -> list[str]:
         if name == made.rows[0].name:
-            second.wait(60)
+            assert second.wait(60)
         log.append(f"{name} solved")
         solution_file.write(place, SolvedScene("", why="of no matter"))
         return []
@@ -170,7 +170,7 @@ def test_a_chunk_is_begun_while_the_one_before_is_solved(tmp_path: Path, monkeyp
     def begun(rows: list[Row], folder: Path, devices: object, solving: Executor, *how: object) -> list[Any]:
         (row,) = rows
         log.append(f"{row.name} begun")
-        if row is made.rows[1]:
+        if row.name == made.rows[1].name:
             second.set()
         return [solving.submit(solve, row.name, folder / cuda_engine.FOLDER / f"{row.name}.npz")]
 
