@@ -51,6 +51,7 @@ def run(names: Sequence[str], out: Path, level: results_page.Level, say: results
 
 
 def _failed(names: Sequence[str], out: Path, level: results_page.Level, say: results_page.Say) -> list[str]:
+    """The names of the benches that failed; the figures of the others are written."""
     failed = []
     for name in names:
         started = time.perf_counter()

@@ -26,10 +26,14 @@ def chosen(device: str, part: float = 1.0) -> float:
 
 
 def full(device: torch.device) -> bool:
-    """Whether nearly all memory that this process may use is in use."""
+    """Whether nearly all memory that this process may use is in use; what its allocator only keeps for later is given
+    back before that is said."""
     if device.type != "cuda":
         return False
-    return bool(torch.cuda.memory_reserved(device) > FULL * _part * torch.cuda.mem_get_info(device)[1])
+    most = FULL * _part * torch.cuda.mem_get_info(device)[1]
+    if torch.cuda.memory_reserved(device) > most:
+        torch.cuda.empty_cache()
+    return bool(torch.cuda.memory_reserved(device) > most)
 
 
 def cleared(device: str) -> None:

@@ -177,3 +177,15 @@ def test_recordings_make_room_for_others(short: list[bool], monkeypatch: pytest.
     (other,) = replays("other", double, index_of([4], CPU))
     assert (other.tolist(), done[-1]) == ([8.0], not all(short))
     assert doubled() == ([6.0, 2.0], False)  # anew
+
+
+@pytest.mark.parametrize(("used", "full"), [(0.95, True), (0.5, False)])
+def test_memory_that_is_only_kept_for_later_is_not_in_use(
+    used: float, full: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = [0.95 - used]
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (0, 8e9))
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: (used + kept[0]) * 8e9)
+    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: kept.insert(0, 0.0))
+    assert devices.full(torch.device("cuda:0")) == full
+    assert not devices.full(CPU)
