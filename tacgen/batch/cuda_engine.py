@@ -121,8 +121,10 @@ class _Solutions:
         except BrokenProcessPool:
             self._notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
         except CancelledError:
-            pass  # closed
+            pass
         self._begun.popleft()
+        if self._closed.is_set():  # the folder of solutions is gone
+            return
         for row in rows:
             if not self._places[row.name].exists() and row.name not in self._ended:
                 why = "solved by the CPU engine: the batch engine stopped before this scene"
@@ -219,8 +221,8 @@ def _unfinished(rows: Sequence[Row], folder: Path, overwrite: bool) -> list[Row]
 def _begun(
     rows: Sequence[Row], folder: Path, devices: Sequence[str], solving: Executor, count: int, mapped: Mapped
 ) -> list[Future[list[str]]]:
-    """Begin to write a solution for each row, or why there is none, in parts that return notes on the run; no part
-    where a process has died."""
+    """Begin to write a solution for each row, or why there is none, in parts that return notes on the run; where a
+    process has died, a part that has failed."""
     from tacgen.tensor_engine.pool import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
@@ -230,8 +232,10 @@ def _begun(
             solving.submit(_solve, {k: rows[k] for k in part}, [plans[k] for k in part], folder, device, share)
             for part, device in zip(parts, cycle(devices), strict=False)
         ]
-    except BrokenProcessPool:
-        return []
+    except BrokenProcessPool as error:
+        failed = Future[list[str]]()
+        failed.set_exception(error)
+        return [failed]
 
 
 def _planned(numbered: tuple[int, Row]) -> "Planned":

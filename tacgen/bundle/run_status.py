@@ -56,7 +56,7 @@ def survey(folder: Path) -> Survey:
 
 
 def opened(folder: Path) -> tuple[str, Iterator[tuple[SceneStatus, Bundle | None]]]:
-    """As `survey`, the plan's name, and each scene with its bundle, if that is ok or rejected."""
+    """The plan's name, and each scene's state with its bundle, if that is ok or rejected; raises as `survey`."""
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder")
     plan = read_plan(folder)

@@ -1,7 +1,8 @@
 """Runs with the batch engine, here on PyTorch's CPU backend: bundles, what falls back, what is left behind."""
 
 import time
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -192,6 +193,33 @@ def test_a_chunk_is_begun_while_the_one_before_is_solved(tmp_path: Path, monkeyp
     assert log[:3] == [f"{one} begun", f"{two} begun", f"{one} solved"]
     assert log.index(f"{three} begun") > log.index(f"{one} ok")
     assert not (out / cuda_engine.FOLDER).exists()
+
+
+def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu: None, tmp_path: Path) -> None:
+    (row,) = planned(tmp_path).rows
+
+    class Dead(ThreadPoolExecutor):
+        def submit(self, *args: Any, **how: Any) -> Any:
+            raise BrokenProcessPool("killed")
+
+    with Dead(1) as solving:
+        events: list[dict[str, Any]] = []
+        solutions = cuda_engine._Solutions([row], tmp_path, events.append)
+        solutions.make(lambda rows: cuda_engine._begun(rows, tmp_path, ["cpu"], solving, 1, map))
+        assert solutions.has(row)
+        solutions.close()
+        assert "a process of the batch engine died" in events[0]["note"]
+        assert not (tmp_path / cuda_engine.FOLDER).exists()
+        waiting = Future[list[str]]()
+        with ThreadPoolExecutor(1) as ahead:
+            closed = cuda_engine._Solutions([row], tmp_path, events.append)
+            made = ahead.submit(closed.make, lambda rows: [waiting])
+            while not closed._begun:
+                time.sleep(0.01)
+            closed.close()
+            assert made.result(10) is None
+        assert waiting.cancelled()
+        assert not (tmp_path / cuda_engine.FOLDER).exists()
 
 
 def test_solutions_that_a_killed_run_has_left_are_not_used(on_cpu: None, tmp_path: Path) -> None:
