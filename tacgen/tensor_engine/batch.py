@@ -6,6 +6,7 @@ mechanics.solve_state.SolveState holds of one scene is here a row of `Tensors` a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -32,8 +33,8 @@ Array = np.ndarray
 FLOAT = torch.float64
 GROW = 48  # sizes of WIDE are multiples of it
 CLASS = 162  # nodes of the smallest class of contacts that are solved together; each is twice as large as the last
-AT_FIRST = 3 * CLASS  # unknowns for which there is room from the start: where rows grow, recordings are lost
 KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
+AT_FIRST = 6 * KEPT  # unknowns on which contact acts for which there is room from the start: growing loses recordings
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
 # and their reduction to a unknowns (see reduction.Reduction)
 WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "wanted": "k", "G": "kk", "X": "ka", "K": "aa"}
@@ -57,6 +58,18 @@ class Sizes(NamedTuple):
 def width_class(nodes: int) -> int:
     """The size of contacts with which one of so many nodes is solved."""
     return CLASS << max(0, (nodes - 1) // CLASS).bit_length()
+
+
+class PartOfStep(Enum):
+    """What a scene does next of a step of its contact: apart from each other, since few scenes need the last two.
+
+    COUPLED: takes the coupled step, unless its condensed bulk must be reduced to other unknowns first; REDUCE: that;
+    SYMMETRIC: takes a part of the symmetric step, since no part of the coupled one was good enough.
+    """
+
+    COUPLED = 0
+    REDUCE = 1
+    SYMMETRIC = 2
 
 
 class Factors(Protocol):
@@ -120,7 +133,8 @@ class Course:
     newton_damped: int = 0
     # of the step in the making
     inner_damping: float = 0.0
-    kept: int = 0  # unknowns to which the Schur complement is reduced
+    part_of_step: PartOfStep = PartOfStep.COUPLED
+    kept: int = 0  # unknowns to which the Schur complement is reduced, or will be
     reduced: float = -1.0  # damping of the Schur complement whose reduction is kept; -1: none
     part: float = 1.0
 
@@ -235,7 +249,7 @@ class Batch:
         B, n, _ = self.X.shape
         _, f, q = self.areas.shape
         m, F = int(self.patch.sum()), self.hexes.weights.shape
-        first = min(3 * m, AT_FIRST) if self.replays.on else 0
+        room = {"k": 3 * m, "a": min(3 * m, AT_FIRST)} if self.replays.on else {"k": 0, "a": 0}
 
         def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
@@ -254,7 +268,7 @@ class Batch:
             h_rotation=zeros(3, 3), h_position=zeros(3), rotation=zeros(3, 3), position=zeros(3),
             J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
             nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1,
-            c_x=zeros(m, 3), **{name: self._blank(name, B, [first] * len(axes)) for name, axes in WIDE.items()},
+            c_x=zeros(m, 3), **{name: self._blank(name, B, [room[k] for k in axes]) for name, axes in WIDE.items()},
         )  # fmt: skip
 
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:

@@ -17,11 +17,13 @@ from tacgen.mechanics.failures import SQUEEZED, Failure, NotConverged
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.tensor_engine import contact_newton
-from tacgen.tensor_engine.batch import Batch, Course, Sizes
+from tacgen.tensor_engine.batch import Batch, Course, PartOfStep, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.load_step import cover, covers, take
+
+ENDS = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
 
 
 def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
@@ -100,22 +102,35 @@ def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
 
 
 def contact(b: Batch, s: Tensor) -> list[Outcome]:
-    """One step of the contact."""
-    rows = listed(s)
-    sizes, courses = b.sizes(s), [b.courses[row] for row in rows]
-    valid = [float(course.reduced == course.inner_damping) for course in courses]
+    """One step of the contact, or the next part of one."""
+    courses, outcomes = {row: b.courses[row] for row in listed(s)}, dict.fromkeys(listed(s), Outcome.more)
+    at = {part: [row for row, course in courses.items() if course.part_of_step is part] for part in PartOfStep}
+    if some := at[PartOfStep.REDUCE]:
+        reduce(b, b.slots(some))
+        for row in some:
+            courses[row].part_of_step = PartOfStep.COUPLED
+    for some, symmetric in ((_ready(b, at[PartOfStep.COUPLED]), False), (at[PartOfStep.SYMMETRIC], True)):
+        for row, status in zip(some, _stepped(b, b.slots(some), symmetric) if some else (), strict=True):
+            outcomes[row] = ENDS.get(status, Outcome.ended)
+            courses[row].part_of_step = PartOfStep.SYMMETRIC if status == SEARCHING else PartOfStep.COUPLED
+    return list(outcomes.values())
+
+
+def _ready(b: Batch, rows: list[int]) -> list[int]:
+    """Of the scenes in these rows, those whose bulk is reduced to unknowns among which are all on which contact acts;
+    the others will be reduced."""
+    if not rows:
+        return []
+    s, valid = b.slots(rows), [float(b.courses[row].reduced == b.courses[row].inner_damping) for row in rows]
+    sizes = b.sizes(s)
     acted, count = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), s, valid)
-    if stale := [k for k, more in enumerate(acted.tolist()) if more]:
-        many = count.tolist()
-        reduce(b, b.slots([rows[k] for k in stale]), [many[k] for k in stale])
-    status = _stepped(b, s, False)
-    if left := [row for row in rows if status[row] == SEARCHING]:
-        status |= _stepped(b, b.slots(left), True)
-    ends = {RUNNING: Outcome.more, UNSTABLE: Outcome.unstable}
-    return [ends.get(status[row], Outcome.ended) for row in rows]
+    for row, stale, many in zip(rows, acted.tolist(), count.tolist(), strict=True):
+        if stale:
+            b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, many
+    return [row for row in rows if b.courses[row].part_of_step is PartOfStep.COUPLED]
 
 
-def _stepped(b: Batch, s: Tensor, symmetric: bool) -> dict[int, int]:
+def _stepped(b: Batch, s: Tensor, symmetric: bool) -> list[int]:
     """The contact after a coupled or a symmetric step; how each scene's stands."""
     sizes, damped = b.sizes(s), damping(b, s)
     key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), symmetric), partial(_contact, b, sizes, symmetric)
@@ -123,7 +138,8 @@ def _stepped(b: Batch, s: Tensor, symmetric: bool) -> dict[int, int]:
     b.t.put(
         s, c_x=x, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
     )  # fmt: skip
-    return dict(zip(listed(s), status.tolist(), strict=True))
+    out: list[int] = status.tolist()
+    return out
 
 
 def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:

@@ -60,15 +60,13 @@ def _damped(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Tensor:
     return torch.where(factor > 0, S + factor * b.read("S_0", s, k, k), S)
 
 
-def reduce(b: Batch, s: Tensor, count: list[int]) -> None:
-    """Reduce the condensed bulk of each scene to its `wanted` unknowns, of which there are so many.
+def reduce(b: Batch, s: Tensor) -> None:
+    """Reduce the condensed bulk of each scene to its `wanted` unknowns, of which it has `kept`.
 
     What is eliminated must be positive definite: a scene's damping is increased until it is.
     """
     while len(s):
         rows, damped = listed(s), damping(b, s)
-        for row, kept in zip(rows, count, strict=True):
-            b.courses[row].kept = kept
         sizes = b.sizes(s)
         work = partial(_reduce, b, sizes)
         (definite,) = b.replays(("reduce", sizes.nodes, sizes.kept, bool(damped)), work, s, *damped)
@@ -79,7 +77,7 @@ def reduce(b: Batch, s: Tensor, count: list[int]) -> None:
             if not fine and course.inner_damping <= DAMPING_MAX:
                 course.inner_damping = more(course.inner_damping)
                 again.append(k)
-        s, count = b.slots([rows[k] for k in again]), [count[k] for k in again]
+        s = b.slots([rows[k] for k in again])
 
 
 def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor]:

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,27 +14,32 @@ from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine import engine, grids, refill, scheduler
-from tacgen.tensor_engine.batch import Batch, width_class
+from tacgen.tensor_engine import engine, grids, refill, replay, scheduler
+from tacgen.tensor_engine.batch import AT_FIRST, Batch, PartOfStep, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
-from tacgen.tensor_engine.replay import recorded
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
 # Kernel calls of a scene for each of its frames and further trials of a force, on average, after which it is left to
-# the CPU engine: ordinary frames take 40, and a few scenes that go on for long would keep a batch from ending
-MOST_CALLS = 150
-WIDE = 900  # unknowns condensed to in the largest contact, for the estimate of memory
+# the CPU engine: ordinary frames take 50, and a few scenes that go on for long would keep a batch from ending
+MOST_CALLS = 200
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
-MATRIX = 64  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
+MATRIX = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE = (Phase.contact, Phase.predict)
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
+
+
+class Kind(NamedTuple):
+    """A kind of work of a kernel: what of a contact's step is next, and the class of its nodes."""
+
+    part: PartOfStep = PartOfStep.COUPLED
+    nodes: int = 1
 
 
 @dataclass(frozen=True)
@@ -116,10 +122,10 @@ class ScenePool:
             self._calls[slot] += MOST_CALLS * (index == before)
         return course.phase
 
-    def size(self, slot: int) -> int:
-        """For kernels of dense matrices of a contact's nodes, their class."""
+    def kind(self, slot: int) -> Kind:
+        """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next."""
         course = self.batch.courses[slot]
-        return width_class(course.nodes) if course.phase in DENSE else 1
+        return Kind(course.part_of_step, width_class(course.nodes)) if course.phase in DENSE else Kind()
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -192,7 +198,7 @@ def _solved(
     """Numbers of scenes of one pattern and their solutions."""
     first = list(islice(ready, count))
     pool = ScenePool(first, tree, device, dtype)
-    for scene, found in scheduler.run(pool, chain(first, ready), room.most, use):
+    for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use):
         yield scene.number, found
 
 
@@ -211,13 +217,15 @@ class Room:
     def of(cls, tree: Dissection, memory: float) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-        wide = min(k, WIDE)
-        own = 4.0 * (tree.kept + k * k + k * wide + 5 * wide**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
+        a = min(k, AT_FIRST)
+        own = 4.0 * (tree.kept + 5 * k**2 + k * a + a**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
         return cls(max(1, int(0.4 * memory / own)), each, 0.2 * memory)
 
-    def most(self, phase: Phase, size: int) -> int:
-        """Scenes that a call of a kernel may have, of a class of sizes: as a recording has, at least the smallest."""
-        each = MATRIX * (3 * size) ** 2 if phase in DENSE else self.each.get(phase, 0.0)
-        return recorded(min(int(self.work / max(each, 1.0)), MOST_SLOTS))
+    def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:
+        """How many of so many scenes that wait go into one call."""
+        stepping = phase is Phase.contact and kind.part is not PartOfStep.REDUCE  # works on the kept unknowns
+        rows = min(3 * kind.nodes, AT_FIRST) if stepping else 3 * kind.nodes
+        each = MATRIX * rows**2 if phase in DENSE else self.each.get(phase, 0.0)
+        return replay.fitting(waiting, int(self.work / max(each, 1.0)))

@@ -18,20 +18,25 @@ from torch import Tensor
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.indices import index_of, listed
 
+SIZES = (4, 16, 32, 64, 128, 256)  # rows of recordings
+SMALL = 16  # rows of a call that would take hardly less time with fewer
 Outputs = tuple[Tensor, ...]
 Work = Callable[..., Outputs]  # of slots (s,) and numbers (s,); outputs have a row for each
 _noted: list[Tensor] | None = None  # what was assumed not to occur, while work is recorded
 
 
 def padded(rows: int) -> int:
-    """Rows of the recording for so many: a power of two from 2 on. Each size takes the time of some calls to record,
-    and rows that repeat the first one take as long as others."""
-    return max(2, 1 << (rows - 1).bit_length())
+    """Rows of the recording for so many; each size takes the time of some calls to record."""
+    return next((size for size in SIZES if size >= rows), -(-rows // SIZES[-1]) * SIZES[-1])
 
 
-def recorded(most: int) -> int:
-    """Rows of the largest recording with at most so many, or of the smallest."""
-    return max(2, 1 << max(most.bit_length() - 1, 0))
+def fitting(waiting: int, most: int) -> int:
+    """How many of the scenes that wait, at most `most`, go into one call. Rows that repeat the first one take as long
+    as others, but where a call is small anyway."""
+    rows = min(waiting, max(size for size in SIZES if size <= max(most, SIZES[0])))
+    if rows <= SMALL or rows >= 0.75 * padded(rows):
+        return rows
+    return max(size for size in SIZES if size <= rows)
 
 
 def rare(mask: Tensor) -> bool:

@@ -6,9 +6,9 @@ ended makes room for the next at once, so that slots stay full until no scene is
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from tacgen.mechanics.phases import Phase
 
@@ -29,8 +29,9 @@ class Slots(Protocol[S, R]):
     def phase(self, slot: int) -> Phase | None:
         """The kernel for which the scene in a slot waits; None: it has ended."""
 
-    def size(self, slot: int) -> int:
-        """A class of sizes for that kernel: calls have scenes of one, as arrays are padded to the largest."""
+    def kind(self, slot: int) -> Hashable:
+        """The kind of that kernel's work, and sizes of it: calls have scenes of one, as arrays are padded to the
+        largest."""
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -60,12 +61,12 @@ class Use:
 def run(
     slots: Slots[Scene, Result],
     scenes: Iterable[Scene],
-    most: Callable[[Phase, int], int] | None = None,
+    fitting: Callable[[Phase, Any, int], int] | None = None,
     use: Use | None = None,
 ) -> Iterator[tuple[Scene, Result]]:
     """Scenes with their results, in the order in which they end. `scenes` is read only as slots become free.
 
-    most: largest number of scenes in a call of a kernel for a class of sizes. use: where calls are counted.
+    fitting: how many of so many that wait for a kernel and a kind of its work are called. use: where calls are counted.
     """
     waiting, free = iter(scenes), list(range(slots.count))[::-1]
     inside: dict[int, Scene] = {}
@@ -75,20 +76,20 @@ def run(
             slots.enter(free.pop(), scene)
         if not inside:
             return
-        queues: dict[tuple[Phase, int], list[int]] = {}
+        queues: dict[tuple[Phase, Hashable], list[int]] = {}
         ended = []
         for slot in inside:  # in the order in which they came in
             if (phase := slots.phase(slot)) is None:
                 ended.append(slot)
             else:
-                queues.setdefault((phase, slots.size(slot)), []).append(slot)
+                queues.setdefault((phase, slots.kind(slot)), []).append(slot)
         for slot in ended:
             yield inside.pop(slot), slots.leave(slot)
             free.append(slot)
         if ended:
             continue
-        (phase, size), queue = max(queues.items(), key=lambda each: len(each[1]))
-        some = queue if most is None else queue[: most(phase, size)]
+        (phase, kind), queue = max(queues.items(), key=lambda each: len(each[1]))
+        some = queue if fitting is None else queue[: fitting(phase, kind, len(queue))]
         if use is not None:
             use.add(phase, len(some))
         slots.advance(phase, some)

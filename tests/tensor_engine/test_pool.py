@@ -84,22 +84,24 @@ def test_a_scene_with_other_contact_points_is_refused():
 
 
 def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
-    monkeypatch.setattr(pool, "MOST_CALLS", 30)
+    monkeypatch.setattr(pool, "MOST_CALLS", 34)
     found = dict(pool.solved([SCENES[0], SCENES[1]], slots=1))
     assert len(found[0].states) == 1
     assert found[0].why is None
     assert len(found[1].states) < 2
-    assert found[1].why == "more than 30 kernel calls a frame"
+    assert found[1].why == "more than 34 kernel calls a frame"
 
 
 def test_less_memory_has_room_for_fewer_scenes():
     tree = dissected(grids.GridPattern((18, 18, 5)))
     large, small = pool.Room.of(tree, 1e10), pool.Room.of(tree, 1e6)
     assert small.slots == 1
-    assert small.most(Phase.factor, 1) == small.most(Phase.contact, 72) == 2
+    middle, wide = pool.Kind(nodes=72), pool.Kind(nodes=300)
+    assert small.fitting(Phase.factor, pool.Kind(), 99) == small.fitting(Phase.contact, middle, 99) == 4
     assert large.slots > 50
-    assert 8 <= large.most(Phase.factor, 1) < large.most(Phase.load, 1) < large.most(Phase.begin, 1)
-    assert 8 <= large.most(Phase.contact, -256) < large.most(Phase.contact, 72)
+    most = [large.fitting(phase, pool.Kind(), 999) for phase in (Phase.factor, Phase.load, Phase.begin)]
+    assert 16 <= most[0] < most[1] < most[2]
+    assert 16 <= large.fitting(Phase.contact, wide, 999) < large.fitting(Phase.contact, middle, 999)
     assert pool.Room.of(tree, 2e10).slots == pytest.approx(2 * large.slots, abs=1)
 
 
@@ -110,7 +112,7 @@ def test_factorisations_at_once_are_bounded_by_memory(monkeypatch):
         calls.append((phase, len(rows)))
         advance(batch, phase, rows)
 
-    monkeypatch.setattr(pool.Room, "most", lambda room, phase, size: 1 if phase is Phase.factor else 9)
+    monkeypatch.setattr(pool.Room, "fitting", lambda room, phase, *_: 1 if phase is Phase.factor else 9)
     monkeypatch.setattr(pool.engine, "advance", watched)
     assert len(list(pool.solved(SCENES[:3]))) == 3
     assert {count for phase, count in calls if phase is Phase.factor} == {1}

@@ -17,7 +17,7 @@ from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import inversion, pool, replay
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.indices import index_of
-from tacgen.tensor_engine.replay import Replays, padded, rare, recorded
+from tacgen.tensor_engine.replay import Replays, fitting, padded, rare
 from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine.batches import batch, path, small, solve
 from tensor_engine.dense import Dense
@@ -73,14 +73,30 @@ def test_calls_of_any_size_have_the_outputs_of_the_work() -> None:
         once, twice = replays("twice", lambda s, k: (rows[s], k * rows[s]), some, times)
         assert once.tolist() == [float(k) for k in slots]
         assert twice.tolist() == [float(k) ** 2 for k in slots]
-    assert replays.count == 3  # of 2 rows, 4 and 32, each the second time
+    assert replays.count == 4  # of 4 rows and 32, after the first time
 
 
 def test_sizes_of_recordings_are_few_and_large_enough() -> None:
     sizes = [padded(k) for k in range(1, 500)]
-    assert sorted(set(sizes)) == [2, 4, 8, 16, 32, 64, 128, 256, 512]
+    assert sorted(set(sizes)) == [4, 16, 32, 64, 128, 256, 512]
     assert all(size >= k for k, size in enumerate(sizes, 1))
-    assert [recorded(k) for k in (0, 2, 7, 8, 31, 32, 500, 512)] == [2, 2, 4, 8, 16, 32, 256, 512]
+
+
+def test_calls_fill_their_recordings_unless_they_are_small() -> None:
+    assert [fitting(k, 500) for k in (1, 5, 16, 17, 23, 24, 40, 48, 90, 96, 999)] == [
+        1,
+        5,
+        16,
+        16,
+        16,
+        24,
+        32,
+        48,
+        64,
+        96,
+        256,
+    ]
+    assert [fitting(99, most) for most in (0, 5, 31, 32, 100)] == [4, 4, 16, 32, 64]
 
 
 def test_scenes_that_meet_something_rare_are_done_again() -> None:

@@ -14,7 +14,7 @@ class Toy:
     """Slots of scenes that are lists of phases; records calls, and how many slots were full at each."""
 
     def __init__(self, count):
-        self.count, self.left, self.had, self.calls, self.full, self.sizes = count, {}, {}, [], [], {}
+        self.count, self.left, self.had, self.calls, self.full, self.kinds = count, {}, {}, [], [], {}
 
     def enter(self, slot, scene):
         assert slot not in self.left
@@ -23,8 +23,8 @@ class Toy:
     def phase(self, slot):
         return self.left[slot][0] if self.left[slot] else None
 
-    def size(self, slot):
-        return self.sizes.get(slot, 0)
+    def kind(self, slot):
+        return self.kinds.get(slot, 0)
 
     def advance(self, phase, slots):
         self.calls.append((phase, len(slots)))
@@ -73,16 +73,16 @@ def test_the_kernel_with_most_scenes_waiting_is_called():
     assert toy.calls == [(P.factor, 2), (P.load, 3)]
 
 
-def test_a_call_has_scenes_of_one_size() -> None:
+def test_a_call_has_scenes_of_one_kind() -> None:
     toy = Toy(3)
-    toy.sizes = {0: 1, 1: 2, 2: 1}
+    toy.kinds = {0: 1, 1: 2, 2: 1}
     assert len(list(run(toy, [[P.contact]] * 3))) == 3
     assert toy.calls == [(P.contact, 2), (P.contact, 1)]
 
 
 def test_calls_are_no_larger_than_their_memory_allows():
     toy, use = Toy(4), Use()
-    assert len(list(run(toy, [[P.factor, P.load]] * 4, lambda phase, size: 3 if phase is P.factor else 9, use))) == 4
+    assert len(list(run(toy, [[P.factor, P.load]] * 4, lambda phase, *_: 3 if phase is P.factor else 9, use))) == 4
     assert toy.calls == [(P.factor, 3), (P.load, 3), (P.factor, 1), (P.load, 1)]
     assert dict(use.scenes) == {P.factor: 4, P.load: 4}
     assert use.mean == 2.0
