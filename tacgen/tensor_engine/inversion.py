@@ -17,17 +17,16 @@ from tacgen.fem.potential import Projection
 from tacgen.tensor_engine.elements import Topology, clamped, cofactor, determinant, mapped, slopes, stiffness
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import clamped_log
-from tacgen.tensor_engine.replay import rare, recording
+from tacgen.tensor_engine.replay import rare, recording, room
 
 DENSE = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
 TABLE = TABLES[8]
 ONE = np.eye(len(TABLE.share))[TABLE.monomial.ravel()] * TABLE.share  # coefficients (27,) of the triples (64, 27)
 PARTS = TABLE.pieces.reshape(-1, len(TABLE.share))
 ELSEWHERE = np.where(TABLE.share == 1, 0.0, np.inf)  # added to the coefficients, leaves those at corners
-FOLDED = (
-    64  # cells of a scene on which a recorded barrier acts at most: ordinary scenes have more than 16 in 8 % of calls
-)
-DIVIDED, RECORDED = 4096, 64  # pieces of a scene that are divided at once at most, and in a recording
+# cells of a scene on which a recorded barrier acts at most, first and where more do
+FOLDED = 64, 1024
+DIVIDED, RECORDED = 4096, (64, 1024)  # pieces of a scene that are divided at once at most, and in a recording
 
 
 @dataclass(frozen=True)
@@ -88,8 +87,9 @@ class FoldingBarriers:
         """At positions x (s, n, 3), with the stiffness of each scene multiplied by `times` (s,)."""
         corners, low = x[:, self.topology.conn], self._lowest(x)
         folded = (low < J0) & (self.volume > 0)
-        if recording() and not rare(folded.sum(1) > FOLDED):  # the lowest; it is 0 where they are above J0
-            most = min(FOLDED, low.shape[1])
+        if recording():  # the lowest; it is 0 where they are above J0
+            most = min(room(*FOLDED), low.shape[1])
+            rare(folded.sum(1) > most)
             cell = torch.where(self.volume > 0, low, torch.inf).topk(most, largest=False).indices.flatten()
             scene = torch.arange(len(x), device=x.device).repeat_interleave(most)
         elif rare(folded):
@@ -146,7 +146,7 @@ def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol
         if depth == DEPTH or not (recording() or bool(open_.any())):
             bound = torch.minimum(bound, low.amin(1))
             break
-        count = min(RECORDED if recording() else DIVIDED, low.shape[1])
+        count = min(room(*RECORDED) if recording() else DIVIDED, low.shape[1])
         if recording():
             rare(open_.sum(1) > count)
         which = low.topk(count, largest=False).indices

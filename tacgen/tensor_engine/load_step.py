@@ -20,9 +20,9 @@ from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.reduction import solved_by_root, with_points
-from tacgen.tensor_engine.replay import rare, recording
+from tacgen.tensor_engine.replay import rare, recording, room
 
-PARTS = 4  # of a way along which a recording looks for a tunnel; longer ways are rare
+PARTS = 4, 32  # of a way along which a recording looks for a tunnel, first and where ways are longer
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
@@ -243,8 +243,8 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     entered, entry = torch.zeros_like(near), torch.zeros_like(first)
     out = torch.zeros(len(s), dtype=torch.bool, device=s.device)
     if recording():
-        rare(parts > PARTS)
-        most = PARTS
+        most = room(*PARTS)
+        rare(parts > most)
     else:
         most = int(parts.max()) if bool(near.any()) else -1
     for k in range(most + 1):

@@ -15,7 +15,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, replay, scheduler
-from tacgen.tensor_engine.batch import AT_FIRST, Batch, PartOfStep, width_class
+from tacgen.tensor_engine.batch import CONDENSED_FIRST, KEPT_FIRST, Batch, PartOfStep, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
@@ -29,7 +29,7 @@ LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: s
 # the CPU engine: ordinary frames take 50, and a few scenes that go on for long would keep a batch from ending
 MOST_CALLS = 200
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
-WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+WORK, TANGENT = 3_000, 15_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
 MATRIX = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE = (Phase.contact, Phase.predict)
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
@@ -217,15 +217,17 @@ class Room:
     def of(cls, tree: Dissection, memory: float) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-        a = min(k, AT_FIRST)
-        own = 4.0 * (tree.kept + 5 * k**2 + k * a + a**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
+        c, a = min(k, CONDENSED_FIRST), min(k, KEPT_FIRST)
+        own = (
+            4.0 * (tree.kept + k**2 + k * c + 3 * c**2 + c * a + a**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
+        )
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-        return cls(max(1, int(0.4 * memory / own)), each, 0.2 * memory)
+        return cls(max(1, int(0.5 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:
         """How many of so many scenes that wait go into one call."""
         stepping = phase is Phase.contact and kind.part is not PartOfStep.REDUCE  # works on the kept unknowns
-        rows = min(3 * kind.nodes, AT_FIRST) if stepping else 3 * kind.nodes
+        rows = min(3 * kind.nodes, KEPT_FIRST) if stepping else 3 * kind.nodes
         each = MATRIX * rows**2 if phase in DENSE else self.each.get(phase, 0.0)
         return replay.fitting(waiting, int(self.work / max(each, 1.0)))

@@ -2,13 +2,14 @@
 
 For some dozens of scenes a GPU takes less time for an operation than its host to launch it. Work is a function of slots
 (s,) that reads and writes a batch's tensors, and never waits for the device: where it goes on otherwise for a few
-scenes, it asks `rare`, and is done again for these without a recording. So work must not read what it writes, and a
-scene's results must not depend on the others of a call.
+scenes, it asks `rare`, and is done again for these: where it had `room` for too few, by a recording with room for
+many, else without. So work must not read what it writes, and a scene's results must not depend on the others of a call.
 """
 
 import gc
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -22,7 +23,7 @@ SIZES = (4, 16, 32, 64, 128, 256)  # rows of recordings
 SMALL = 16  # rows of a call that would take hardly less time with fewer
 Outputs = tuple[Tensor, ...]
 Work = Callable[..., Outputs]  # of slots (s,) and numbers (s,); outputs have a row for each
-_noted: list[Tensor] | None = None  # what was assumed not to occur, while work is recorded
+_noted: "_Notes | None" = None  # while work is recorded
 
 
 def padded(rows: int) -> int:
@@ -44,8 +45,15 @@ def rare(mask: Tensor) -> bool:
     was wrong."""
     if _noted is None:
         return bool(mask.any())
-    _noted.append(mask)
+    _noted.missed.append(mask)
     return False
+
+
+def room(few: int, many: int) -> int:
+    """Room that recorded work has for what most scenes have few of: `few`, or `many` where a scene needed more."""
+    assert _noted is not None
+    _noted.bounded = True
+    return many if _noted.roomy else few
 
 
 def recording() -> bool:
@@ -53,11 +61,19 @@ def recording() -> bool:
     return _noted is not None
 
 
+@dataclass
+class _Notes:
+    """Of a recording: whether it has room for many, whether that matters, and masks of what it assumes not to occur."""
+
+    roomy: bool
+    bounded: bool = False
+    missed: list[Tensor] = field(default_factory=list)
+
+
 @contextmanager
-def _noting() -> Iterator[list[Tensor]]:
+def _noting(roomy: bool) -> Iterator[_Notes]:
     global _noted
-    notes: list[Tensor] = []
-    _noted = notes
+    _noted = notes = _Notes(roomy)
     try:
         yield notes
     finally:
@@ -85,27 +101,34 @@ class Replays:
     def __call__(self, key: Hashable, work: Work, s: Tensor, *numbers: Sequence[float]) -> Outputs:
         """Outputs of work for slots s and numbers of them, to be used before the next call; key: all else that it
         depends on. The first call with a key and a size of call is not recorded: libraries and constants are made."""
-        if not self.on:
-            return self._eagerly(work, s, numbers)
+        return self._called(key, work, s, numbers, False) if self.on else self._eagerly(work, s, numbers)
+
+    def _called(self, key: Hashable, work: Work, s: Tensor, numbers: Sequence[Sequence[float]], roomy: bool) -> Outputs:
+        """Outputs of work by a recording, which has room for many or for few of what is rare."""
         rows = listed(s)
-        key = key, (size := padded(len(rows)))
-        if key not in self._recorded:
-            self._recorded[key] = None
+        at = key, (size := padded(len(rows))), roomy
+        if at not in self._recorded:
+            self._recorded[at] = None
             return self._eagerly(work, s, numbers)
-        if (recorded := self._recorded[key]) is None:
+        if (recorded := self._recorded[at]) is None:
             if devices.full(self.device):  # those that are used will be recorded again
                 self.forget()
                 if devices.full(self.device):
                     return self._eagerly(work, s, numbers)
             if self._where is None and self.device.type == "cuda":
                 self._where = torch.cuda.Stream(), torch.cuda.graph_pool_handle()
-            recorded = self._recorded[key] = _Recording(work, size, len(numbers), self.device, self._where)
+            recorded = self._recorded[at] = _Recording(work, size, len(numbers), self.device, self._where, roomy)
         out, missed = recorded.replay(rows, numbers)
         self.count += 1
         if missed:
             self.again += len(missed)
             some, k = index_of([rows[k] for k in missed], self.device), torch.tensor(missed, device=self.device)
-            again = self._eagerly(work, some, [[each[k] for k in missed] for each in numbers])
+            theirs = [[each[k] for k in missed] for each in numbers]
+            if recorded.bounded and not roomy:
+                out = tuple(part.clone() for part in out)  # recordings share memory
+                again = self._called(key, work, some, theirs, True)
+            else:
+                again = self._eagerly(work, some, theirs)
             for whole, part in zip(out, again, strict=True):
                 whole[k] = part
         return out
@@ -117,7 +140,8 @@ class Replays:
 class _Recording:
     """Work for a number of rows, on a GPU as a graph; a call with fewer repeats its first row."""
 
-    def __init__(self, work: Work, size: int, numbers: int, device: torch.device, where: Any) -> None:
+    def __init__(self, work: Work, size: int, numbers: int, device: torch.device, where: Any, roomy: bool) -> None:
+        self.roomy = roomy
         self.size, self.graph = size, torch.cuda.CUDAGraph() if device.type == "cuda" else None
         self.run = partial(self._run, work)
         self.slots = torch.zeros(size, dtype=torch.long, device=device)
@@ -127,9 +151,10 @@ class _Recording:
             del self.run  # which holds the batch
 
     def _run(self, work: Work) -> None:
-        with _noting() as notes:
+        with _noting(self.roomy) as notes:
             self.out = work(self.slots, *self.numbers)
-            self.missed = torch.stack(notes).any(0) if notes else None
+        self.bounded = notes.bounded
+        self.missed = torch.stack(notes.missed).any(0) if notes.missed else None
 
     def _capture(self, graph: Any, stream: Any, pool: Any) -> None:
         now = torch.cuda.current_stream()

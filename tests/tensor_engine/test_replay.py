@@ -59,8 +59,8 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> None:
     noting = replay._noting
 
     @contextmanager
-    def noting_without_waiting() -> Iterator[list]:
-        with noting() as notes, NeverWaiting():
+    def noting_without_waiting(roomy: bool) -> Iterator[Any]:
+        with noting(roomy) as notes, NeverWaiting():
             yield notes
 
     monkeypatch.setattr(replay, "_noting", noting_without_waiting)
@@ -160,17 +160,21 @@ def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.M
     eager = b.gradient(s, b.t.x[s])[1]
     b.replays = Replays(CPU, on=True)
 
+    recorded = []
+
     def work(s: torch.Tensor) -> tuple[torch.Tensor]:
+        recorded.append(replay.recording())
         return (b.gradient(s, b.t.x[s])[1],)
 
-    for most, again in ((4, 1), (len(b.topology.conn), 0)):
-        monkeypatch.setattr(inversion, "FOLDED", most)
+    cells = len(b.topology.conn)
+    for most, again, last in (((4, 4), 3, False), ((4, cells), 2, True), ((cells, cells), 0, True)):
+        monkeypatch.setattr(inversion, "FOLDED", most)  # at first, and where more are folded
         b.replays.forget()
         b.replays.again = 0
-        for _ in range(2):
+        for _ in range(3):
             (found,) = b.replays("forces", work, s)
             assert (found - eager).abs().max() < 1e-12 * eager.abs().max()
-        assert b.replays.again == again
+        assert (b.replays.again, recorded[-1]) == (again, last)
 
 
 @pytest.mark.parametrize("short", [[True, False], [True, True]])
