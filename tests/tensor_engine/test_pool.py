@@ -15,6 +15,7 @@ from tacgen.mechanics.phases import Phase
 from tacgen.tensor_engine import grids, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
+from tacgen.tensor_engine.planning import Planned, divided
 from tensor_engine.batches import path
 from tensor_engine.test_contact import field
 
@@ -55,7 +56,7 @@ def test_scenes_in_refilled_slots_have_the_cpu_engines_frames(slots):
 def test_indenters_on_grids_follow_each_other_in_a_slot():
     ball, small = SphereSdf(2.5), field(1.5, 0.4)
     shapes = [ball, small, field(2.0, 0.5), ball, small]
-    plans = [pool.Planned.of((k, pressed(shape, (0, 0, -0.3)))) for k, shape in enumerate(shapes)]
+    plans = [Planned.of((k, pressed(shape, (0, 0, -0.3)))) for k, shape in enumerate(shapes)]
     first, *others = (pool.PreparedScene.of(plan) for plan in plans)
     slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
     at = torch.tensor([[[0.1, 0.2, -0.2], [0.4, 0.0, 0.3]]], dtype=torch.float64)
@@ -68,14 +69,14 @@ def test_indenters_on_grids_follow_each_other_in_a_slot():
 
 
 def test_meshes_of_unlike_sizes_share_one_batch():
-    plans = [pool.Planned.of(each) for each in enumerate(SCENES[:3])]
+    plans = [Planned.of(each) for each in enumerate(SCENES[:3])]
     assert len({int(pool.PreparedScene.of(plan).grid.exists.sum()) for plan in plans}) == 3
     assert len(set(grids.merged(dict.fromkeys([plan.pattern for plan in plans], 1), 64).values())) == 1
 
 
 def test_a_scene_with_other_contact_points_is_refused():
     thin = pressed(SphereSdf(0.4), (0, 0, -0.1))
-    plans = [pool.Planned.of(each) for each in enumerate([SCENES[0], thin])]
+    plans = [Planned.of(each) for each in enumerate([SCENES[0], thin])]
     assert [plan.thin for plan in plans] == [False, True]
     first, other = (pool.PreparedScene.of(plan) for plan in plans)
     slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
@@ -126,6 +127,6 @@ def test_work_and_kept_numbers_count_padded_fronts():
 
 def test_parts_for_processes_have_scenes_of_few_patterns() -> None:
     small, large = GridPattern((14, 14, 5)), GridPattern((18, 18, 5))
-    parts = pool.divided([small, None, large, small, large, small, small, large], 4)
+    parts = divided([small, None, large, small, large, small, small, large], 4)
     assert parts == [[2, 4], [7], [0, 3], [5, 6, 1]]  # scenes count by half, half by their nodes
-    assert pool.divided([small], 4) == [[0]]
+    assert divided([small], 4) == [[0]]
