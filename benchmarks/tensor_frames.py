@@ -36,6 +36,7 @@ from tacgen.recipe import scene_of_row
 from tacgen.tensor_engine import device, engine, pool, scheduler
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.grids import GridPattern
+from tacgen.tensor_engine.planning import Planned, divided
 
 Array = np.ndarray
 WINDOW = 10  # [s] in which frames are counted: at the end few scenes are left
@@ -56,7 +57,7 @@ def main() -> None:
         keys, parts = np.array(list(scenes)), list[dict[int, Scene]]()
         for first in range(0, len(keys), CHUNK):  # as `run` does
             chunk = keys[first : first + CHUNK], patterns[first : first + CHUNK]
-            parts += [{int(k): scenes[k] for k in chunk[0][part]} for part in pool.divided(chunk[1], told.processes)]
+            parts += [{int(k): scenes[k] for k in chunk[0][part]} for part in divided(chunk[1], told.processes)]
         with ProcessPoolExecutor(told.processes, mp_context=multiprocessing.get_context("spawn")) as solving:
             found = list(solving.map(batched, parts, [told] * len(parts)))
         forces = merged(found)
@@ -85,7 +86,7 @@ def arguments() -> argparse.Namespace:
 def planned(index: int) -> tuple[Scene, GridPattern | None] | None:
     """The scene of a draw, and its pattern; None where it is refused."""
     scene = scene_of(index)
-    return None if scene is None else (scene, pool.Planned.of((index, scene)).pattern)
+    return None if scene is None else (scene, Planned.of((index, scene)).pattern)
 
 
 def scene_of(index: int) -> Scene | None:

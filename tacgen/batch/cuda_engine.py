@@ -32,7 +32,7 @@ from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.engine import Solved
-    from tacgen.tensor_engine.pool import Planned
+    from tacgen.tensor_engine.planning import Planned
 
 CHUNK = 1024  # scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
 EACH = 8  # processes at most that solve on one GPU: more of them have fewer scenes in a call
@@ -223,7 +223,7 @@ def _begun(
 ) -> list[Future[list[str]]]:
     """Begin to write a solution for each row, or why there is none, in parts that return notes on the run; where a
     process has died, a part that has failed."""
-    from tacgen.tensor_engine.pool import divided
+    from tacgen.tensor_engine.planning import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
     parts, share = divided([plan.pattern for plan in plans], count), -(-count // len(devices))
@@ -241,7 +241,7 @@ def _begun(
 def _planned(numbered: tuple[int, Row]) -> "Planned":
     """A row's scene with its pattern; one with forces on its coarse mesh, which comes first."""
     from tacgen.mechanics import presolve
-    from tacgen.tensor_engine.pool import Planned
+    from tacgen.tensor_engine.planning import Planned
 
     number, row = numbered
     if isinstance(scene := scene_of(row), str):
@@ -272,13 +272,14 @@ def _solutions(
     """Solutions of some rows by their numbers, with the heights that presolve found."""
     from tacgen.mechanics import presolve
     from tacgen.tensor_engine import pool
+    from tacgen.tensor_engine.planning import Planned
 
     rough = {plan.number for plan in plans if plan.scene and plan.scene.forced}
     ready, heights = [plan for plan in plans if plan.number not in rough], dict[int, list[float]]()
     for k, solved in pool.solved([plan for plan in plans if plan.number in rough], device, memory=memory):
         if solved.why is None and isinstance(scene := scene_of(rows[k]), Scene):
             heights[k] = [float(state.pose[2, 3]) for state in solved.states]
-            ready.append(pool.Planned.of((k, presolve.refined(scene, heights[k]))))
+            ready.append(Planned.of((k, presolve.refined(scene, heights[k]))))
         else:
             yield k, solved, ()
     for k, solved in pool.solved(ready, device, memory=memory):

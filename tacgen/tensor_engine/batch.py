@@ -25,8 +25,9 @@ from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
-from tacgen.tensor_engine.laws import Laws, numbers
+from tacgen.tensor_engine.laws import Laws
 from tacgen.tensor_engine.replay import Replays
+from tacgen.tensor_engine.scope import numbers
 from tacgen.tensor_engine.shapes import Shapes
 
 Array = np.ndarray
@@ -205,7 +206,7 @@ class Batch:
     ) -> "Batch":
         """Scenes before their first load step; patch (k,): node numbers.
 
-        All have the same options and points in a facet; see `engine.lacks` for scenes that have no place in a batch.
+        All have the same options and points in a facet; see `scope.lacks` for scenes that have no place in a batch.
         """
         B, e, f = len(problems), len(topology.conn), len(topology.facets)
 

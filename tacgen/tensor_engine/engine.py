@@ -14,8 +14,6 @@ from tacgen.mechanics.solve_state import SolveState
 from tacgen.mechanics.state import State
 from tacgen.tensor_engine import admission, bulk_newton, load_step
 from tacgen.tensor_engine.batch import Batch
-from tacgen.tensor_engine.laws import numbers
-from tacgen.tensor_engine.shapes import known
 
 SHARED = ("index", "history", "legs", "may_halve", "effort", "phase", "state", "failure")  # by Course and SolveState
 KERNELS: dict[Phase, Callable[[Batch, Tensor], list[Outcome]]] = {
@@ -33,19 +31,6 @@ KERNELS: dict[Phase, Callable[[Batch, Tensor], list[Outcome]]] = {
     Phase.admit: admission.admit,
     Phase.halve: admission.halve,
 }
-
-
-def lacks(scene: Scene) -> str | None:
-    """The first thing in a scene that the batch engine does not do, in words; None: it solves the scene."""
-    wanted = {
-        "a mesh of tets": scene.element != "hex",
-        "contact between meshes": scene.surface is not None,
-        "inertia": scene.dynamics is not None,
-        "a viscous gel": scene.duration is not None and any(layer.prony for layer in scene.gel.layers),
-        "this material law": any(numbers(layer.law) is None for layer in scene.gel.layers),
-        "this indenter": not known(scene.shape),
-    }
-    return next((what for what, is_so in wanted.items() if is_so), None)
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def _along(at, count, origin, cell):
 @triton.jit
 def signed_distance(x, y, z, kind, table, VALUES):
     """d, its gradient, and its second derivatives xx yy zz xy xz yz at points in the indenter's frame; kind: its number
-    in shapes.KINDS; table: its row."""
+    in scope.KINDS; table: its row."""
     t0, t1, t2 = tl.load(table), tl.load(table + 1), tl.load(table + 2)
     zero = x * 0
     one = zero + 1

@@ -12,25 +12,8 @@ import torch
 from torch import Tensor
 
 from tacgen.fem.folding_barrier import J0
-from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Stiffened, Yeoh
 
 NUMBERS = 8  # c10, c01, c20, c30, raw, kappa, lam, slope [MPa]
-
-
-def numbers(law: Law) -> list[float] | None:
-    """The numbers of a law; None: it is none of the shipped ones."""
-    if isinstance(law, Stiffened):
-        inner = numbers(law.law)
-        return None if inner is None else [law.times * v for v in inner[:5]] + inner[5:]
-    if isinstance(law, NeoHooke):
-        return [law.mu / 2, 0, 0, 0, 0, law.kappa, 0, 0]
-    if isinstance(law, MooneyRivlin):
-        return [law.c10, law.c01, 0, 0, 0, law.kappa, 0, 0]
-    if isinstance(law, Yeoh):
-        return [law.c10, 0, law.c20, law.c30, 0, law.kappa, 0, 0]
-    if isinstance(law, StableNeoHooke):
-        return [0, 0, 0, 0, law.mu / 2, 0, law.lam, law.mu]
-    return None
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import NamedTuple
 
-import numpy as np
 import torch
 
 from tacgen.mechanics import mesh
@@ -22,9 +21,9 @@ from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
+from tacgen.tensor_engine.planning import LEAST_SHARED, Planned
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
-LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
 # Kernel calls of a scene for each of its frames and further trials of a force, on average, after which it is left to
 # the CPU engine: ordinary frames take 50, and a few scenes that go on for long would keep a batch from ending
 MOST_CALLS = 200
@@ -43,33 +42,6 @@ class Kind(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Planned:
-    """A scene's number; the scene, the grid of its mesh and the pattern for it, or why the engine does not solve it."""
-
-    number: int
-    scene: Scene | None = None
-    axes: mesh.Axes | None = None
-    pattern: GridPattern | None = None
-    why: str = ""
-
-    @classmethod
-    def of(cls, numbered: tuple[int, Scene]) -> "Planned":
-        """With the smallest pattern."""
-        number, scene = numbered
-        if (why := engine.lacks(scene)) is not None:
-            return cls(number, why=why)
-        axes = grids.axes_of(scene)
-        if (pattern := grids.smallest(axes)) is None:
-            return cls(number, why="a contact larger than all patterns")
-        return cls(number, scene, axes, pattern)
-
-    @property
-    def thin(self) -> bool:
-        """Whether facets have more contact points; see problem.POINTS_IF_THIN."""
-        return self.scene is not None and 2 * self.scene.shape.reach < self.scene.edge
-
-
-@dataclass(frozen=True)
 class PreparedScene:
     """A scene, its number, its discretised problem, and its mesh within the pattern of its batch."""
 
@@ -79,7 +51,7 @@ class PreparedScene:
     grid: Embedded
 
     @classmethod
-    def of(cls, plan: "Planned") -> "PreparedScene":
+    def of(cls, plan: Planned) -> "PreparedScene":
         """Raises ValueError: the pattern does not hold the scene's mesh."""
         assert plan.scene is not None
         assert plan.axes is not None
@@ -169,21 +141,6 @@ def solved(
         devices.cleared(device)
         room = Room.of(tree, memory)
         yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use)
-
-
-def divided(patterns: Sequence[GridPattern | None], parts: int) -> list[list[int]]:
-    """Numbers of scenes in at most so many parts that take about equally long, for processes that share a GPU: scenes
-    of one pattern together, those of large ones first and those without one last."""
-
-    def key(number: int) -> tuple[bool, int, tuple[int, ...]]:
-        pattern = patterns[number]
-        return (True, 0, ()) if pattern is None else (False, -pattern.size, pattern.cells)
-
-    order = sorted(range(len(patterns)), key=key)
-    nodes = np.array([0.0 if (pattern := patterns[k]) is None else pattern.size for k in order])
-    times = nodes + nodes.mean() + 1 if order else nodes  # about half of a frame's time is that of launches
-    part = ((np.cumsum(times) - times / 2) / times.sum() * parts).astype(int)
-    return [some for n in range(parts) if (some := [k for k, m in zip(order, part, strict=True) if m == n])]
 
 
 def _solved(

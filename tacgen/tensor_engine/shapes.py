@@ -8,22 +8,11 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from tacgen.geometry import analytic_sdf as sdf
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
+from tacgen.tensor_engine.scope import KINDS, NUMBERS
 
 Distances = tuple[Tensor, Tensor, Tensor]
-# the numbers of each analytic shape, in the order in which gpu_distance takes them
-NUMBERS: dict[type, tuple[str, ...]] = {
-    sdf.SphereSdf: ("radius",),
-    sdf.CapsuleSdf: ("radius", "length"),
-    sdf.TorusSdf: ("radius", "tube_radius"),
-    sdf.CylinderSdf: ("radius", "fillet"),
-    sdf.BoxSdf: ("size_x", "size_y", "fillet"),
-    sdf.ConeSdf: ("half_angle", "tip_radius"),
-    sdf.WedgeSdf: ("half_angle", "tip_radius", "length"),
-}
-KINDS = (*NUMBERS, Field)
 
 
 @dataclass(frozen=True)
@@ -100,8 +89,3 @@ def _coefficients(field: Field, dtype: torch.dtype, device: str) -> Tensor:
     if field not in kept:
         kept[field] = torch.as_tensor(field.coefficients, dtype=dtype).flatten().to(device)
     return kept[field]
-
-
-def known(shape: Shape) -> bool:
-    """Whether a shape has a kernel on a GPU."""
-    return type(shape) in KINDS

@@ -14,7 +14,8 @@ from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.barrier import Contact as OneContact
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.shapes import KINDS, Shapes, known
+from tacgen.tensor_engine.scope import KINDS, known
+from tacgen.tensor_engine.shapes import Shapes
 
 torch.set_num_threads(1)
 Array = np.ndarray

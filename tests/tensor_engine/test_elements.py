@@ -17,7 +17,8 @@ from tacgen.fem.potential import Projection
 from tacgen.tensor_engine import elements
 from tacgen.tensor_engine.elements import Hexes, Topology
 from tacgen.tensor_engine.inversion import FoldingBarriers, least_jacobian
-from tacgen.tensor_engine.laws import Laws, numbers
+from tacgen.tensor_engine.laws import Laws
+from tacgen.tensor_engine.scope import numbers
 
 torch.set_num_threads(1)
 LAWS: dict[str, Law] = {**EXAMPLES, "stiffened": Stiffened(EXAMPLES["mooney_rivlin"], 1.7)}

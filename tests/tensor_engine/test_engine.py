@@ -14,7 +14,9 @@ from tacgen.mechanics import DEFAULT, State, solver
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.tensor_engine import bulk_newton, engine, load_step, pool
-from tacgen.tensor_engine.engine import KERNELS, Solved, lacks
+from tacgen.tensor_engine.engine import KERNELS, Solved
+from tacgen.tensor_engine.planning import Planned
+from tacgen.tensor_engine.scope import lacks
 from tensor_engine.batches import alone, batch, path, small, solve
 
 torch.set_num_threads(1)
@@ -131,7 +133,7 @@ def test_meshes_embedded_in_one_pattern_with_multifrontal_factors(dtype: torch.d
         scene(SphereSdf(2 + k), poses([(0.1, 0, -0.3), (0.5, 0, -0.3)]), pad=gel(8, 9 + k, 2.0), friction=0.5, edge=1.0)
         for k in range(2)
     ]
-    assert len({pool.Planned.of((0, one)).pattern for one in made}) == 1
+    assert len({Planned.of((0, one)).pattern for one in made}) == 1
     solved = dict(pool.solved(made, dtype=dtype, least=1))
     for one, each in zip(made, (solved[0], solved[1]), strict=True):
         assert each.why is None

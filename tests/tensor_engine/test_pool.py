@@ -12,9 +12,10 @@ from helpers.presses import gel, scene
 from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.phases import Phase
-from tacgen.tensor_engine import grids, pool, refill, scheduler
+from tacgen.tensor_engine import grids, planning, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
+from tacgen.tensor_engine.planning import Planned, divided
 from tensor_engine.batches import path
 from tensor_engine.test_contact import field
 
@@ -55,7 +56,7 @@ def test_scenes_in_refilled_slots_have_the_cpu_engines_frames(slots):
 def test_indenters_on_grids_follow_each_other_in_a_slot():
     ball, small = SphereSdf(2.5), field(1.5, 0.4)
     shapes = [ball, small, field(2.0, 0.5), ball, small]
-    plans = [pool.Planned.of((k, pressed(shape, (0, 0, -0.3)))) for k, shape in enumerate(shapes)]
+    plans = [Planned.of((k, pressed(shape, (0, 0, -0.3)))) for k, shape in enumerate(shapes)]
     first, *others = (pool.PreparedScene.of(plan) for plan in plans)
     slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
     at = torch.tensor([[[0.1, 0.2, -0.2], [0.4, 0.0, 0.3]]], dtype=torch.float64)
@@ -68,14 +69,14 @@ def test_indenters_on_grids_follow_each_other_in_a_slot():
 
 
 def test_meshes_of_unlike_sizes_share_one_batch():
-    plans = [pool.Planned.of(each) for each in enumerate(SCENES[:3])]
+    plans = [Planned.of(each) for each in enumerate(SCENES[:3])]
     assert len({int(pool.PreparedScene.of(plan).grid.exists.sum()) for plan in plans}) == 3
     assert len(set(grids.merged(dict.fromkeys([plan.pattern for plan in plans], 1), 64).values())) == 1
 
 
 def test_a_scene_with_other_contact_points_is_refused():
     thin = pressed(SphereSdf(0.4), (0, 0, -0.1))
-    plans = [pool.Planned.of(each) for each in enumerate([SCENES[0], thin])]
+    plans = [Planned.of(each) for each in enumerate([SCENES[0], thin])]
     assert [plan.thin for plan in plans] == [False, True]
     first, other = (pool.PreparedScene.of(plan) for plan in plans)
     slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
@@ -126,8 +127,12 @@ def test_work_and_kept_numbers_count_padded_fronts():
     assert tree.work >= max(group.entries for group in tree.groups)
 
 
-def test_parts_for_processes_have_scenes_of_few_patterns() -> None:
+def test_parts_for_processes_have_scenes_of_one_pattern(monkeypatch: pytest.MonkeyPatch) -> None:
     small, large = GridPattern((14, 14, 5)), GridPattern((18, 18, 5))
-    parts = pool.divided([small, None, large, small, large, small, small, large], 4)
-    assert parts == [[2, 4], [7], [0, 3], [5, 6, 1]]  # scenes count by half, half by their nodes
-    assert pool.divided([small], 4) == [[0]]
+    patterns = [small, None, large, small, large, small, small, large]
+    assert divided(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]
+    monkeypatch.setattr(planning, "LEAST_SHARED", 1)  # else they share the larger pattern
+    assert divided(patterns, 4) == [[0, 3, 5, 6], [2], [4], [7, 1]]  # a scene takes as the square of its nodes
+    assert divided([small], 4) == [[0]]
+    assert divided([None, None], 4) == [[0, 1]]
+    assert divided([], 4) == []
