@@ -289,10 +289,10 @@ class Batch:
         if any(new > old for new, old in zip(sizes, store.shape[1:], strict=True)):
             most, each = 3 * self.t.nodes.shape[1], zip(sizes, store.shape[1:], strict=True)
             wider = [min(-(-int(1.3 * new) // GROW) * GROW, most) if new > old else old for new, old in each]
+            self.replays.forget()
             old, store = store, self._blank(name, len(store), wider)
             store[(slice(None), *map(slice, old.shape[1:]))] = old
             setattr(self.t, name, store)
-            self.replays.forget()
         return store
 
     def sizes(self, s: Tensor) -> Sizes:

@@ -5,7 +5,9 @@ import gc
 import torch
 
 CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
-FULL = 0.9  # part of a process's memory beyond which it has none for further recordings
+# part of a process's memory in use beyond which its allocator gives back what it keeps for later, since a recording can
+# not take that; and beyond which there is none for further recordings
+TIGHT, FULL = 0.6, 0.85
 _part = 1.0  # of a GPU's memory, that this process may use
 
 
@@ -26,14 +28,13 @@ def chosen(device: str, part: float = 1.0) -> float:
 
 
 def full(device: torch.device) -> bool:
-    """Whether nearly all memory that this process may use is in use; what its allocator only keeps for later is given
-    back before that is said."""
+    """Whether there is no memory for a recording; what the allocator only keeps for later is given back before."""
     if device.type != "cuda":
         return False
-    most = FULL * _part * torch.cuda.mem_get_info(device)[1]
-    if torch.cuda.memory_reserved(device) > most:
+    most = _part * torch.cuda.mem_get_info(device)[1]
+    if torch.cuda.memory_reserved(device) > TIGHT * most:
         torch.cuda.empty_cache()
-    return bool(torch.cuda.memory_reserved(device) > most)
+    return bool(torch.cuda.memory_reserved(device) > FULL * most)
 
 
 def cleared(device: str) -> None:

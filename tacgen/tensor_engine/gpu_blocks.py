@@ -114,10 +114,12 @@ def inverse(A: Tensor) -> None:
 
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))
-def _slot_times(A, SLOTS, X, Y, tiles, rows, columns, slot, tile, row, TURNED: tl.constexpr, SIZE: tl.constexpr):
+def _slot_times(
+    A, SLOTS, X, Y, tiles, rows, columns, slot, tile, row, TURNED: tl.constexpr, SIZE: tl.constexpr, LONG: tl.constexpr
+):  # fmt: skip
     which = tl.program_id(0).to(tl.int64)
     first = A + tl.load(SLOTS + which // tiles) * slot + which % tiles * tile
-    mine, each = tl.program_id(1) * SIZE + tl.arange(0, SIZE), tl.arange(0, SIZE)
+    mine, each = tl.program_id(1) * SIZE + tl.arange(0, SIZE), tl.arange(0, LONG)
     out = tl.zeros((SIZE,), Y.dtype.element_ty)
     if TURNED:
         k = 0
@@ -127,7 +129,7 @@ def _slot_times(A, SLOTS, X, Y, tiles, rows, columns, slot, tile, row, TURNED: t
             inside = (j < rows)[:, None] & (mine < columns)[None, :]
             M = tl.load(first + j[:, None] * row + mine[None, :], mask=inside, other=0.0)
             out += tl.sum(M.to(Y.dtype.element_ty) * x[:, None], 0)
-            k += SIZE
+            k += LONG
         tl.store(Y + which * columns + mine, out, mask=mine < columns)
     else:
         k = 0
@@ -137,7 +139,7 @@ def _slot_times(A, SLOTS, X, Y, tiles, rows, columns, slot, tile, row, TURNED: t
             inside = (mine < rows)[:, None] & (j < columns)[None, :]
             M = tl.load(first + mine[:, None] * row + j[None, :], mask=inside, other=0.0)
             out += tl.sum(M.to(Y.dtype.element_ty) * x[None, :], 1)
-            k += SIZE
+            k += LONG
         tl.store(Y + which * rows + mine, out, mask=mine < rows)
 
 
@@ -147,9 +149,10 @@ def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool) -> Tensor:
     count = columns if transposed else rows
     y = x.new_zeros(*x.shape[:-1], count)
     if y.numel():
-        size = 64 if max(rows, columns) > 32 else 32
+        # few of the results and much of a sum in a program: many programs, with few loads that wait for each other
+        size, long = (32, 128 if transposed else 256) if max(rows, columns) > 64 else (32, 32)
         _slot_times[(len(slots) * tiles, triton.cdiv(count, size))](
             A, slots, x.contiguous(), y, tiles, rows, columns, A.stride(0), A.stride(-3) if A.dim() > 3 else 0,
-            A.stride(-2), TURNED=transposed, SIZE=size,
+            A.stride(-2), TURNED=transposed, SIZE=size, LONG=long,
         )  # fmt: skip
     return y

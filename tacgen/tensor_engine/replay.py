@@ -110,14 +110,13 @@ class Replays:
         if at not in self._recorded:
             self._recorded[at] = None
             return self._eagerly(work, s, numbers)
-        if (recorded := self._recorded[at]) is None:
-            if devices.full(self.device):  # those that are used will be recorded again
-                self.forget()
-                if devices.full(self.device):
-                    return self._eagerly(work, s, numbers)
-            if self._where is None and self.device.type == "cuda":
-                self._where = torch.cuda.Stream(), torch.cuda.graph_pool_handle()
-            recorded = self._recorded[at] = _Recording(work, size, len(numbers), self.device, self._where, roomy)
+        recorded = self._recorded[at] or self._record(work, size, len(numbers), roomy)
+        if recorded is None:
+            self.forget()  # those that are used will be recorded again
+            recorded = self._record(work, size, len(numbers), roomy)
+        if recorded is None:
+            return self._eagerly(work, s, numbers)
+        self._recorded[at] = recorded
         out, missed = recorded.replay(rows, numbers)
         self.count += 1
         if missed:
@@ -132,6 +131,17 @@ class Replays:
             for whole, part in zip(out, again, strict=True):
                 whole[k] = part
         return out
+
+    def _record(self, work: Work, size: int, numbers: int, roomy: bool) -> "_Recording | None":
+        """A new recording; None: there is no memory for it."""
+        if devices.full(self.device):
+            return None
+        if self._where is None and self.device.type == "cuda":
+            self._where = torch.cuda.Stream(), torch.cuda.graph_pool_handle()
+        try:
+            return _Recording(work, size, numbers, self.device, self._where, roomy)
+        except torch.OutOfMemoryError:
+            return None
 
     def _eagerly(self, work: Work, s: Tensor, numbers: Sequence[Sequence[float]]) -> Outputs:
         return work(s, *(torch.tensor(each, dtype=torch.float64, device=self.device) for each in numbers))
@@ -163,8 +173,10 @@ class _Recording:
         try:
             with torch.cuda.stream(stream):
                 graph.capture_begin(pool=pool, capture_error_mode="thread_local")
-                self.run()
-                graph.capture_end()
+                try:
+                    self.run()
+                finally:  # else nothing could be done any more
+                    graph.capture_end()
         finally:
             gc.enable()
         now.wait_stream(stream)
