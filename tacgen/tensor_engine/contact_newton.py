@@ -32,15 +32,13 @@ class Quadratics:
     load: Tensor
     reduction: Reduction | None = None
 
-    def at(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Energy (s,) and gradient (s, m, 3) at positions x (s, m, 3)."""
-        u = (x - self.start).flatten(1)
-        g = self.times(u) + self.load
-        return (u * (g + self.load)).sum(1) / 2, g.view_as(x)
+    def gradient(self, x: Tensor) -> Tensor:
+        """Gradient (s, m, 3) at positions x (s, m, 3)."""
+        return (self.times((x - self.start).flatten(1)) + self.load).view_as(x)
 
-    def residual(self, contact: Contacts, forces: Forces, x: Tensor) -> Tensor:
-        """Unbalanced forces (s, m, 3) at x."""
-        return self.at(x)[1] - at_nodes(contact, forces.force, x.shape[1])
+    def energy(self, x: Tensor, gradient: Tensor) -> Tensor:
+        """Energy (s,) at positions x (s, m, 3) with a gradient."""
+        return ((x - self.start).flatten(1) * (gradient.flatten(1) + self.load)).sum(1) / 2
 
     def solve(self, contact: Contacts, D: Tensor, g: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """The steps (s, m, 3) that balance g with tangents D (s, f, q, 3, 3) of the contact, and which exist (s,)."""
@@ -96,18 +94,20 @@ def step(
     """
     x, length, (contact, drift) = now.x, now.length, shrunk(now)
     forces = contact.evaluate(x)
-    g = bulk.residual(contact, forces, x)
+    gradient = bulk.gradient(x)
+    g = gradient - at_nodes(contact, forces.force, x.shape[1])
     going = now.steps < max_steps
     p, exists = bulk.solve(contact, forces.definite if symmetric else forces.tangent, g, symmetric)
-    first = contact.max_step(forces.gap, p, reach)
+    first, bent = contact.max_step(forces.gap, p, reach), bulk.times(p.flatten(1)).view_as(x)
     full = torch.zeros_like(going)
     if not symmetric:
-        whole = bulk.residual(contact, contact.evaluate(x + p), x + p)
+        whole = gradient + bent - at_nodes(contact, contact.evaluate(x + p).force, x.shape[1])
         full = exists & (first >= 1) & (_norm(whole) <= FULL_STEP * _norm(g))
     fraction = torch.ones_like(length)
     if recording() or not bool((full | ~going).all()):
         least = SHORTEST if symmetric else MIN_COUPLED
-        fraction = torch.where(full, fraction, _downhill(bulk, contact, forces, x, g, p, exists, first, least))
+        along = bulk.energy(x, gradient), (gradient * p).sum((1, 2)), (p * bent).sum((1, 2))
+        fraction = torch.where(full, fraction, _downhill(along, contact, forces, x, g, p, exists, first, least))
     there = x + fraction[:, None, None] * p
     felt = contact.evaluate(there)
     waits = going & (fraction == 0) & (not symmetric)
@@ -142,7 +142,7 @@ def _to_radius(gone: Tensor, step: Tensor, radius: Tensor) -> Tensor:
 
 
 def _downhill(
-    bulk: Quadratics,
+    bulk: tuple[Tensor, Tensor, Tensor],
     contact: Contacts,
     forces: Forces,
     x: Tensor,
@@ -153,11 +153,10 @@ def _downhill(
     least: float,
 ) -> Tensor:
     """The first of the fractions (s,) `first`, first/2, ... of steps p that lowers the merit function by Armijo's rule;
-    0 if none down to `least` does, or there is no step."""
-    energy, gradient = bulk.at(x)
+    0 if none down to `least` does, or there is no step. bulk: its energy at x and the derivatives along p (s,)."""
+    energy, linear, square = bulk
     here = energy + contact.merit_at(forces, forces)
-    slope, v = (g * p).sum((1, 2)), p.flatten(1)
-    linear, square = (gradient * p).sum((1, 2)), (v * bulk.times(v)).sum(1)
+    slope = (g * p).sum((1, 2))
     fractions = halves(first, least)
     merit = energy[:, None] + fractions * linear[:, None] + fractions**2 * square[:, None] / 2
     merit = merit + contact.merits(x, p, fractions, forces)
