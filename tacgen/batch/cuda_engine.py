@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from tacgen.tensor_engine.engine import Solved
     from tacgen.tensor_engine.planning import Planned
 
-CHUNK = 1024  # scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
+CHUNK = 2048  # scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
 EACH = 8  # processes at most that solve on one GPU: more of them have fewer scenes in a call
 MEMORY = 0.85  # part of a GPU's memory that they share
 LOOK_S = 0.1  # between looks for new solutions

@@ -19,7 +19,7 @@ from tacgen.tensor_engine.indices import constant
 if TYPE_CHECKING:
     from tacgen.tensor_engine.elements import Hexes, Topology
 
-CELLS = 32  # of a program
+CELLS = 32  # of a program, which has one warp: more would compute numbers of a cell again each
 DENSE = grid_points(8)[1]
 LEAST, MOST = tl.constexpr(SMALLEST_J), tl.constexpr(PREDICTED)
 COUNTS = ("cells", "nodes", "capacity")  # no code of its own for each value that they may have
@@ -245,7 +245,7 @@ def states(
     given = (x, x) if ahead is None or taken is None else (ahead.contiguous(), taken.contiguous())
     _states[_grid(s, e)](
         x.contiguous(), hexes.topology.conn, hexes.B, hexes.weights, hexes.laws.values, hexes.numbers, *given, energy,
-        J, forces, e, x.shape[1], len(hexes.B), WANT=want, MIXED=mixed, SIZE=CELLS,
+        J, forces, e, x.shape[1], len(hexes.B), WANT=want, MIXED=mixed, SIZE=CELLS, num_warps=1,
     )  # fmt: skip
     return energy, J, forces
 
@@ -256,8 +256,7 @@ def predictions(hexes: Hexes, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
     out = x.new_empty(s, e, 8)
     _predictions[_grid(s, e)](
         x.contiguous(), to.contiguous(), hexes.topology.conn, hexes.B, hexes.numbers, taken.contiguous(), out,
-        e, x.shape[1],
-        len(hexes.B), SIZE=CELLS,
+        e, x.shape[1], len(hexes.B), SIZE=CELLS, num_warps=1,
     )  # fmt: skip
     return out
 
@@ -268,7 +267,7 @@ def lowest(topology: Topology, x: Tensor, rest: Tensor) -> Tensor:
     out = x.new_empty(s, e)
     _lowest[_grid(s, e)](
         x.contiguous(), topology.conn, constant(DENSE, x), rest.contiguous(), out, e, x.shape[1], 0,
-        POINTS=len(DENSE), SIZE=CELLS,
+        POINTS=len(DENSE), SIZE=CELLS, num_warps=1,
     )  # fmt: skip
     return out
 

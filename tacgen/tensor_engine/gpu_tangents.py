@@ -160,6 +160,6 @@ def tangents(hexes: Hexes, x: Tensor, ahead: Tensor | None) -> tuple[Tensor, Ten
     _tangents[(s, e)](
         x.contiguous(), hexes.topology.conn, hexes.B, hexes.weights, hexes.laws.values, hexes.numbers,
         x if ahead is None else ahead.contiguous(), K, F, e, x.shape[1], len(hexes.B), MIXED=ahead is not None,
-        TWO=hexes.laws.two_invariants,
+        TWO=hexes.laws.two_invariants, num_warps=1,  # more would compute the state of the cell again each
     )  # fmt: skip
     return F, K

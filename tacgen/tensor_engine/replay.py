@@ -144,7 +144,12 @@ class Replays:
             return None
 
     def _eagerly(self, work: Work, s: Tensor, numbers: Sequence[Sequence[float]]) -> Outputs:
-        return work(s, *(torch.tensor(each, dtype=torch.float64, device=self.device) for each in numbers))
+        given = [torch.tensor(each, dtype=torch.float64, device=self.device) for each in numbers]
+        try:
+            return work(s, *given)
+        except torch.OutOfMemoryError:  # recordings have some
+            self.forget()
+        return work(s, *given)
 
 
 class _Recording:
