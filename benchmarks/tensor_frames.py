@@ -17,6 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import takewhile
+from multiprocessing.pool import AsyncResult
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ from tacgen.recipe import scene_of_row
 from tacgen.tensor_engine import device, engine, pool, scheduler
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.grids import GridPattern
-from tacgen.tensor_engine.planning import Planned, divided
+from tacgen.tensor_engine.planning import LEAST_SHARED, Planned, divided
 
 Array = np.ndarray
 WINDOW = 10  # [s] in which frames are counted: at the end few scenes are left
@@ -59,8 +60,13 @@ def main() -> None:
             chunk = keys[first : first + CHUNK], patterns[first : first + CHUNK]
             parts += [{int(k): scenes[k] for k in chunk[0][part]} for part in divided(chunk[1], told.processes)]
         with ProcessPoolExecutor(told.processes, mp_context=multiprocessing.get_context("spawn")) as solving:
-            found = list(solving.map(batched, parts, [told] * len(parts)))
+            start, found, rest = time.time(), list[Report](), list[AsyncResult[Alone]]()
+            for report in solving.map(batched, parts, [told] * len(parts)):
+                found.append(report)
+                rest += [others.apply_async(alone, (draw,)) for draw in report.left]
+            frames = [len(one.get(told.seconds).forces) for one in rest]  # as in `run`, by the CPU engine meanwhile
         forces = merged(found)
+        print(f"with {sum(frames)} frames of {len(rest)} scenes by the CPU engine: {time.time() - start:.1f} s in all")
         if told.compare:
             compare(list(scenes)[: told.compare], forces, told, others.imap_unordered)
 
@@ -70,9 +76,7 @@ def arguments() -> argparse.Namespace:
     ask.add_argument("--draws", type=int, nargs=2, default=(0, 256), metavar=("FIRST", "COUNT"))
     ask.add_argument("--sensors", nargs="*", help="only draws of these")
     ask.add_argument("--slots", type=int, default=pool.MOST_SLOTS)
-    ask.add_argument(
-        "--least", type=int, default=pool.LEAST_SHARED, help="scenes of a pattern; fewer share a larger one"
-    )
+    ask.add_argument("--least", type=int, default=LEAST_SHARED, help="scenes of a pattern; fewer share a larger one")
     ask.add_argument("--processes", type=int, default=1, help="that share the GPU; start nvidia-cuda-mps-control first")
     ask.add_argument("--workers", type=int, default=multiprocessing.cpu_count(), help="processes, one a core")
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
@@ -102,7 +106,7 @@ def scene_of(index: int) -> Scene | None:
 class Report:
     """What one process has solved: forces (frames, 3) [N] by draw, of ended scenes; frames by the second of the clock
     in which they were solved, those of other scenes too; seconds of each kernel, and its calls; seconds in all; why
-    scenes did not end; the most memory used [bytes]."""
+    scenes did not end, and which; the most memory used [bytes]."""
 
     forces: dict[int, Array] = field(default_factory=dict)
     frames: Counter[int] = field(default_factory=Counter)
@@ -111,6 +115,7 @@ class Report:
     begun: float = 0.0
     ended: float = 0.0
     why: Counter[str] = field(default_factory=Counter)
+    left: list[int] = field(default_factory=list)
     memory: float = 0.0
     process: int = field(default_factory=os.getpid)
 
@@ -145,11 +150,13 @@ def batched(scenes: dict[int, Scene], told: argparse.Namespace) -> Report:
             out.forces[keys[number]] = forces_of(found.states)
             if found.why is not None:
                 out.why[str(found.why)[:70]] += 1
+                out.left.append(keys[number])
             if time.time() - STARTED[0] > told.seconds:
                 print("  out of time")
                 break
     except RuntimeError as error:  # as in `run`, the CPU engine has the scenes that are left
         out.why[f"a process stopped: {str(error).splitlines()[0][:90]}"] += len(scenes) - len(out.forces)
+        out.left += [draw for draw in scenes if draw not in out.forces]
     out.ended, out.memory = time.time(), torch.cuda.max_memory_reserved() if cuda else 0.0
     return out
 
@@ -168,10 +175,11 @@ def merged(found: list[Report]) -> dict[int, Array]:
     mean = scenes.total() / max(calls.total(), 1)
     for report in found:
         memory[report.process] = max(memory.get(report.process, 0.0), report.memory / 1e9)
+    ended = sum(len(one) for report in found for draw, one in report.forces.items() if draw not in set(report.left))
     print(
-        f"batch engine, {len(memory)} processes: {len(forces)} scenes, {why.total()} of them not to their end,"
-        f" {frames.total()} frames in {elapsed:.1f} s: {frames.total() / elapsed:.1f} a second, {busiest:.1f} in the"
-        f" best {WINDOW} s; {mean:.1f} scenes a call, {sum(memory.values()):.1f} GB"
+        f"batch engine, {len(memory)} processes: {len(forces)} scenes, {why.total()} of them not to their end; of the"
+        f" others {ended} frames in {elapsed:.1f} s: {ended / elapsed:.1f} a second, {busiest:.1f} of all in the best"
+        f" {WINDOW} s; {mean:.1f} scenes a call, {sum(memory.values()):.1f} GB"
     )
     begun = min(frames)
     by_window = Counter[int]()

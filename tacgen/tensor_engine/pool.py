@@ -24,9 +24,10 @@ from tacgen.tensor_engine.multifrontal import Multifrontal
 from tacgen.tensor_engine.planning import LEAST_SHARED, Planned
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
-# Kernel calls of a scene for each of its frames and further trials of a force, on average, after which it is left to
-# the CPU engine: ordinary frames take 50, and a few scenes that go on for long would keep a batch from ending
-MOST_CALLS = 200
+# A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So the CPU engine
+# has those that took more kernel calls for their frames and trials of a force so far, and for some more, than ordinary
+# ones, which take 50 each; and of each pool, where no more wait, this part.
+MOST_CALLS, MORE_FRAMES, LAST = 120, 3, 0.06
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 3_000, 15_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
 MATRIX = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
@@ -78,7 +79,7 @@ class ScenePool:
         if self._first.pop(slot, None) is not scene:
             refill.fill(self.batch, slot, scene.problem, scene.grid)
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
-        self._calls[slot] = MOST_CALLS * len(scene.scene.poses)
+        self._calls[slot] = MOST_CALLS * (MORE_FRAMES + 1)
         next(self._frames[slot], None)
 
     def phase(self, slot: int) -> Phase | None:
@@ -88,10 +89,9 @@ class ScenePool:
             course.why = f"more than {MOST_CALLS} kernel calls a frame"
             return None
         if course.phase in FINAL:
-            before, index = course.index, next(self._frames[slot], None)
-            if index is None:
+            if next(self._frames[slot], None) is None:
                 return None
-            self._calls[slot] += MOST_CALLS * (index == before)
+            self._calls[slot] += MOST_CALLS
         return course.phase
 
     def kind(self, slot: int) -> Kind:
@@ -106,9 +106,11 @@ class ScenePool:
             self._calls[slot] -= 1
 
     def leave(self, slot: int) -> Solved:
-        """The states of the ended scene in a slot."""
+        """The states of the scene in a slot, which has ended or is among the last."""
         del self._frames[slot]
         course = self.batch.courses[slot]
+        if course.phase not in FINAL and course.why is None:
+            course.why = "the last scenes of a batch"
         return Solved(course.states, course.why)
 
 
@@ -155,7 +157,7 @@ def _solved(
     """Numbers of scenes of one pattern and their solutions."""
     first = list(islice(ready, count))
     pool = ScenePool(first, tree, device, dtype)
-    for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use):
+    for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use, int(LAST * count)):
         yield scene.number, found
 
 

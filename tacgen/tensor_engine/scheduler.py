@@ -63,10 +63,12 @@ def run(
     scenes: Iterable[Scene],
     fitting: Callable[[Phase, Any, int], int] | None = None,
     use: Use | None = None,
+    last: int = 0,
 ) -> Iterator[tuple[Scene, Result]]:
     """Scenes with their results, in the order in which they end. `scenes` is read only as slots become free.
 
     fitting: how many of so many that wait for a kernel and a kind of its work are called. use: where calls are counted.
+    last: scenes that are not solved to their end, where no others are left.
     """
     waiting, free = iter(scenes), list(range(slots.count))[::-1]
     inside: dict[int, Scene] = {}
@@ -74,7 +76,8 @@ def run(
         while free and (scene := next(waiting, None)) is not None:
             inside[free[-1]] = scene
             slots.enter(free.pop(), scene)
-        if not inside:
+        if len(inside) <= last and free:  # no others wait
+            yield from ((inside[slot], slots.leave(slot)) for slot in inside)
             return
         queues: dict[tuple[Phase, Hashable], list[int]] = {}
         ended = []

@@ -85,12 +85,18 @@ def test_a_scene_with_other_contact_points_is_refused():
 
 
 def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
-    monkeypatch.setattr(pool, "MOST_CALLS", 34)
+    monkeypatch.setattr(pool, "MOST_CALLS", 9)
     found = dict(pool.solved([SCENES[0], SCENES[1]], slots=1))
     assert len(found[0].states) == 1
     assert found[0].why is None
     assert len(found[1].states) < 2
-    assert found[1].why == "more than 34 kernel calls a frame"
+    assert found[1].why == "more than 9 kernel calls a frame"
+
+
+def test_the_last_scenes_of_a_pool_are_left_to_the_cpu_engine(monkeypatch):
+    monkeypatch.setattr(pool, "LAST", 0.5)
+    found = dict(pool.solved(SCENES[:2]))
+    assert sorted(str(each.why) for each in found.values()) == ["None", "the last scenes of a batch"]
 
 
 def test_less_memory_has_room_for_fewer_scenes():
