@@ -35,8 +35,7 @@ FLOAT = torch.float64
 GROW = 48  # sizes of WIDE are multiples of it
 CLASS = 162  # nodes of the smallest class of contacts that are solved together; each is twice as large as the last
 KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
-# unknowns condensed to, and on which contact acts, for which there is room from the start: growing loses recordings
-CONDENSED_FIRST, KEPT_FIRST = 1344, 6 * KEPT
+KEPT_FIRST = 6 * KEPT  # of them there is room for so many from the start: growing loses recordings
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
 # and their reduction to a unknowns (see reduction.Reduction)
 WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "wanted": "k", "G": "kk", "X": "ka", "K": "aa"}
@@ -251,8 +250,7 @@ class Batch:
         B, n, _ = self.X.shape
         _, f, q = self.areas.shape
         m, F = int(self.patch.sum()), self.hexes.weights.shape
-        first = {"k": CONDENSED_FIRST, "a": KEPT_FIRST}
-        room = {axis: min(3 * m, most) if self.replays.on else 0 for axis, most in first.items()}
+        room = {"k": 3 * m, "a": min(3 * m, KEPT_FIRST)} if self.replays.on else {"k": 0, "a": 0}
 
         def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)

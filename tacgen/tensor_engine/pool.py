@@ -14,7 +14,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, replay, scheduler
-from tacgen.tensor_engine.batch import CONDENSED_FIRST, KEPT_FIRST, Batch, PartOfStep, width_class
+from tacgen.tensor_engine.batch import KEPT_FIRST, Batch, PartOfStep, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
@@ -157,7 +157,7 @@ def _solved(
     """Numbers of scenes of one pattern and their solutions."""
     first = list(islice(ready, count))
     pool = ScenePool(first, tree, device, dtype)
-    for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use, int(LAST * count)):
+    for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use, int(LAST * pool.count)):
         yield scene.number, found
 
 
@@ -176,10 +176,8 @@ class Room:
     def of(cls, tree: Dissection, memory: float) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-        c, a = min(k, CONDENSED_FIRST), min(k, KEPT_FIRST)
-        own = (
-            4.0 * (tree.kept + k**2 + k * c + 3 * c**2 + c * a + a**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
-        )
+        a = min(k, KEPT_FIRST)
+        own = 4.0 * (tree.kept + 5 * k**2 + k * a + a**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
         return cls(max(1, int(0.45 * memory / own)), each, 0.15 * memory)

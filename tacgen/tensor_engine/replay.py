@@ -115,6 +115,7 @@ class Replays:
             self.forget()  # those that are used will be recorded again
             recorded = self._record(work, size, len(numbers), roomy)
         if recorded is None:
+            self.on = False  # else each call would look for memory again
             return self._eagerly(work, s, numbers)
         self._recorded[at] = recorded
         out, missed = recorded.replay(rows, numbers)
