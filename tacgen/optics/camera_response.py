@@ -74,9 +74,8 @@ def slope(light: "Floats", camera: "Camera") -> "Floats":
 
 
 def stray(camera: "Camera") -> "Floats":
-    """Radiance (H, W, 3) of a coating without dots in the stray light alone: `ambient` after colours and exposure."""
-    even = np.linalg.solve(colours(camera), camera.ambient) / camera.exposure
-    return np.broadcast_to(even, (camera.height_px, camera.width_px, 3))
+    """Radiance (3,) of a coating without dots in the stray light alone: `ambient` after colours and exposure."""
+    return np.asarray(np.linalg.solve(colours(camera), camera.ambient) / camera.exposure)
 
 
 def expose(radiance: "Floats", camera: "Camera") -> "Floats":

@@ -174,9 +174,7 @@ class Renderer:
         effort, self.untouched = TransportEffort.of(spp), untouched or Untouched.of(sensor.gel)
         self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
         self._view = CameraView(sensor, self.sheet, markers, effort.samples)
-        self._stray = (
-            self._view.samples_of(camera_response.stray(sensor.camera)) if any(sensor.camera.ambient) else None
-        )
+        self._stray = camera_response.stray(sensor.camera) if any(sensor.camera.ambient) else None
         pixel = sensor.camera.mm_per_px / effort.samples
         self._texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
         self.light: Light
@@ -198,9 +196,9 @@ class Renderer:
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
         at = self._view.look(surface)
-        made = self.light.seen(at)
+        made = np.asarray(self.light.seen(at), dtype=np.float64)
         if self._stray is not None:
-            made = made + self._view.dimmed(at, self._stray)
+            self._view.add_even(made, at, self._stray)
         if self._texture is not None:
             factor = coat_texture.sampled(self._texture, self.sheet.size, at.rest)
             made = made * self._view.picture(factor[:, None])
