@@ -52,7 +52,8 @@ def rasterized(
         bottom = min(height - 1, int(np.floor(ay + max(0.0, by, cy) - 0.5)))
         if left > right or top > bottom:
             continue
-        bx, by, cx, cy = bx / area, by / area, cx / area, cy / area
+        scale = 1.0 / area
+        bx, by, cx, cy = scale * bx, scale * by, scale * cx, scale * cy
         for j in range(top, bottom + 1):
             y = j + 0.5 - ay
             for i in range(left, right + 1):
