@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.compiled import njit
+from tacgen.optics.gaussian import blur
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,12 +42,7 @@ def colours(camera: "Camera") -> "Floats":
 
 def blurred(radiance: "Floats", camera: "Camera") -> "Floats":
     """A radiance picture (H, W, 3) out of focus: the image of a point is a Gaussian of standard deviation blur_mm."""
-    if not camera.blur_mm:
-        return radiance
-    from scipy.ndimage import gaussian_filter
-
-    sd = camera.blur_mm / camera.mm_per_px
-    return np.asarray(gaussian_filter(radiance, (sd, sd, 0), mode="nearest"))
+    return blur(radiance, camera.blur_mm / camera.mm_per_px) if camera.blur_mm else radiance
 
 
 def encoded(light: "Floats", camera: "Camera") -> "Floats":

@@ -49,7 +49,9 @@ class Untouched:
 
     def height(self, xy: "Floats") -> "Floats":
         """z (n,) [mm] at rest positions (n, 2) [mm]; a number on a flat face, even where they are nan."""
-        top = np.zeros(len(xy)) if self.pad is None or self.pad.flat else self.pad.top(*xy.T)
+        if self.pad is None or self.pad.flat:
+            return np.full(len(xy), 0.0 - self.skin * self.crown)
+        top = self.pad.top(*xy.T)
         return np.asarray(top - self.skin * (self.crown + top))
 
 

@@ -102,7 +102,9 @@ class Cloudy:
         """Linear radiance (H, W, 3), without noise of its own."""
         share = scattering.thickness(self._gel, at.position).reshape(self._view.shape)
         averaged = scattering.averaged(share, self._reach)
-        return self._view.picture(self._bright.tabulated.at(averaged.ravel())) * self.scattered
+        made = self._view.picture(self._bright.tabulated.at(averaged.ravel()))
+        made *= self.scattered
+        return made
 
 
 class Tabled:
