@@ -143,7 +143,9 @@ def _counted(
         for x in range(width):
             for c in range(3):
                 light = radiance[y, x, 0] * mix[c, 0] + radiance[y, x, 1] * mix[c, 1] + radiance[y, x, 2] * mix[c, 2]
-                light = noisy(light * (exposure * fall[y, x, c]), shot[c], read[c], strength, normal[x, c])
+                light *= exposure * fall[y, x, c]
+                if strength > 0.0:
+                    light = noisy(light, shot[c], read[c], strength, normal[x, c])
                 if light >= 1.0:
                     out[y, x, c] = 255
                 elif light > 0.0:

@@ -89,8 +89,8 @@ class CameraView:
         return Samples(self, surface)
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
-        """Radiance (H, W, 3) of the coating with its markers; `bare` (samples, 3), which is overwritten, is that without
-        markers."""
+        """Radiance (H, W, 3) of the coating with its markers, from that without them, `bare` (samples, 3), which is
+        overwritten."""
         if self.markers is not None:
             _dim(bare, at.paint, self._change)
         return self.picture(bare)

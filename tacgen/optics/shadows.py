@@ -20,8 +20,8 @@ DENTED = 0.02  # smallest fall of a place since untouched with which it casts a 
 
 
 class Terrain(NamedTuple):
-    """Heights (h, w) [mm] over a rectangle of `size` (x, y) [mm] centred on 0, and the least of each block of what casts
-    shadows, infinite where nothing does. Compiled code counts references to arrays, so numbers are in tuples."""
+    """Heights (h, w) [mm] over a rectangle of `size` (x, y) [mm] centred on 0, and the least of what casts shadows in
+    each block, infinite where nothing does. Compiled code counts references to arrays, so numbers are in tuples."""
 
     heights: Floats
     small: Floats

@@ -6,7 +6,6 @@ thickness (optics/scattering), traced once per sensor and cached. `PathTracer` i
 `table` is calibrated on `transport`.
 """
 
-from functools import lru_cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+Method = Literal["transport", "path", "table"]
 BOUNCE_POINTS = 6, 8  # quadrature points along and up each strip, for interreflection
 TABLE_COLUMNS = 64  # width of the images on which a table is calibrated [px]
 TABLE_EFFORT = 256  # the level of `Effort` of those images
@@ -79,12 +79,6 @@ class Clear:
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
         return self._direct.seen(at, self.glow)
-
-
-@lru_cache(maxsize=2)
-def clear(sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> Clear:
-    """Scenes of one sensor share it."""
-    return Clear(sensor, sheet, markers, spp, untouched)
 
 
 class Cloudy:
@@ -159,7 +153,7 @@ class Renderer:
         seed: int,
         markers: bool,
         variant: str | None = None,
-        method: Literal["transport", "path", "table"] = "transport",
+        method: Method = "transport",
         untouched: Surface | None = None,
     ) -> None:
         """`spp`: paths a pixel, with `path` of each image, else of what is traced once; and the level of `Effort`.
@@ -182,7 +176,7 @@ class Renderer:
         self.light: Light
         if method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers):
             self.name = "transport"
-            self.light = clear(sensor, self.sheet, markers, spp, self.untouched)  # type: ignore[arg-type]
+            self.light = Clear(sensor, self.sheet, markers, spp, self.untouched)
             return
         if method == "table":
             self.name = "table"
