@@ -38,18 +38,14 @@ class Terrain(NamedTuple):
         return cls(heights, small, large, size, float(large.min()), bounds(small))
 
 
-@njit(cache=True)
 def bounds(small: Floats) -> tuple[float, float, float, float]:
     """Terrain.box by its `small`: least and greatest column, least and greatest row; infinite at the grid's edges."""
-    left, right, top, bottom, (rows, columns) = np.inf, -np.inf, np.inf, -np.inf, small.shape
-    for j in range(rows):
-        for i in range(columns):
-            if small[j, i] < np.inf:
-                left = min(left, i * SMALL if i > 0 else -np.inf)
-                right = max(right, (i + 1) * SMALL if i < columns - 1 else np.inf)
-                top = min(top, j * SMALL if j > 0 else -np.inf)
-                bottom = max(bottom, (j + 1) * SMALL if j < rows - 1 else np.inf)
-    return left, right, top, bottom
+    box, there = [], np.isfinite(small)
+    for along in (0, 1):
+        blocks, count = np.flatnonzero(there.any(axis=along)), there.shape[1 - along]
+        first, last = (int(blocks[0]), int(blocks[-1]) + 1) if len(blocks) else (count, 0)
+        box += [SMALL * first if first else -np.inf, SMALL * last if last < count else np.inf]
+    return box[0], box[1], box[2], box[3]
 
 
 @njit(cache=True)

@@ -214,14 +214,16 @@ def untouched_horizons(places: Floats, z: Floats, middle: Floats, untouched: Ter
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             dx, dy = dx / rho, dy / rho
-            level = horizon(untouched, x, y, face, dx, dy, rho, SLOPES, SLOPES)
-            lower = horizon(untouched, x, y, face - HEIGHT_STEP, dx, dy, rho, SLOPES, SLOPES)
-            slope = (level - lower) / HEIGHT_STEP
-            for i in range(len(z)):
-                if z[i] < face:
-                    out[i, s, c] = horizon(untouched, x, y, z[i], dx, dy, rho, SLOPES, SLOPES)
-                else:
-                    out[i, s, c] = level + slope * (z[i] - face)
+            lower, level = 0.0, 0.0
+            for i in range(-2, len(z)):  # first below the face and on it
+                height = z[i] if i >= 0 else face + (i + 1) * HEIGHT_STEP
+                if i >= 0 and height >= face:
+                    out[i, s, c] = level + (level - lower) / HEIGHT_STEP * (height - face)
+                    continue
+                found = horizon(untouched, x, y, height, dx, dy, rho, SLOPES, SLOPES)
+                if i >= 0:
+                    out[i, s, c] = found
+                lower, level = (found, level) if i == -2 else (lower, found if i == -1 else level)
     return out
 
 
