@@ -79,9 +79,10 @@ def painted(
             continue
         above, away2 = min(max(int(np.floor(y / down + last)), 0), len(counts) - 1), np.inf
         for row in range(above, min(above + 2, len(counts))):
-            end = (counts[row] - 1) / 2
-            nearest = min(max(np.rint(x / across + end) - end, -end), end)
-            away2 = min(away2, (x - nearest * across) ** 2 + (y - (row - last) * down) ** 2)
+            end, aside2 = (counts[row] - 1) / 2, (y - (row - last) * down) ** 2
+            if aside2 < beyond:
+                nearest = min(max(np.rint(x / across + end) - end, -end), end)
+                away2 = min(away2, (x - nearest * across) ** 2 + aside2)
         out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0) if away2 < beyond else 0.0
     return out
 
