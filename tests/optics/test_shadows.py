@@ -142,6 +142,20 @@ def test_the_box_of_what_casts_shadows_loses_none():
     assert shaded > 300
 
 
+def test_horizons_of_the_untouched_face_are_tabulated_and_go_on_linearly_above_it():
+    y, x = np.mgrid[-6:6:121j, -4.5:4.5:91j]
+    dome = -(x * x + y * y) / 40
+    terrain, middle, below = Terrain.of(dome, (9.0, 12.0)), np.array([[-7.0, 1.0, -2.0]]), -1.5
+    face = dome[40, 60]
+    places = np.array([[x[40, 60], y[40, 60], face]])
+    made = strip_light_table.untouched_horizons(places, np.array([below, face + 0.3]), middle, terrain)[:, 0, 0]
+    way = middle[0, :2] - places[0, :2]
+    reach = np.linalg.norm(way)
+    at = {z: horizon(terrain, *places[0, :2], z, *(way / reach), reach, EVER, EVER) for z in (below, face - 0.5, face)}
+    assert made[0] == pytest.approx(at[below], rel=1e-6)
+    assert made[1] == pytest.approx(at[face] + (at[face] - at[face - 0.5]) * 0.3 / 0.5, rel=1e-6)
+
+
 @pytest.mark.parametrize(("gloss", "dots"), [(0.0, False), (0.0, True), (0.3, False), (0.3, True)])
 def test_the_coating_mixes_the_lights_of_the_strips(gloss: float, dots: bool):
     made = sensor(coating={"specular": gloss})
