@@ -32,10 +32,6 @@ class Samples(DrawnFace):
         """[mm], (samples, 3)."""
         return self._values(self.nodes)
 
-    def position_of(self, index: "NDArray[np.int64]") -> "Floats":
-        """`position` (n, 3) of some samples, given by their indices (n,)."""
-        return self.behind_some(self.nodes, index)
-
     @cached_property
     def normal(self) -> "Floats":
         """Unit, into the gel, (samples, 3)."""

@@ -85,7 +85,7 @@ class Direct:
         alpha = coat.roughness if coat.specular else 0.0
 
         def gather(index: "NDArray[np.int64]") -> "Floats":
-            seen = at.position_of(index), at.normal[index], self._toward[index]
+            seen = at.behind_some(at.nodes, index), at.normal[index], self._toward[index]
             return toward_camera(*seen, self._columns, matt, gloss, alpha, terrain) * self._seen[index, None]
 
         return gather

@@ -21,6 +21,7 @@ def blur(picture: "Floats", sd: float, truncate: float = 4.0) -> "Floats":
     """
     x = np.arange(int(truncate * sd + 0.5) + 1)
     weights = np.exp(-0.5 * (x / sd) ** 2)
+    picture = np.ascontiguousarray(picture, dtype=np.float64)
     return np.asarray(_blur(picture, weights / (2 * weights.sum() - weights[0])))
 
 
