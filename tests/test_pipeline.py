@@ -28,7 +28,6 @@ from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.row import NOISE
-from tacgen.render.images import Renderer
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
