@@ -9,7 +9,7 @@ from tacgen.errors import UserError
 from tacgen.fem.materials import Law
 from tacgen.geometry import mesh_import
 from tacgen.geometry.outline import Pad
-from tacgen.geometry.rasterize import draw
+from tacgen.geometry.rasterize import nearest
 
 Array = np.ndarray
 SHEET_STEP = 0.024  # grid spacing of the interfaces between a solid's layers, over the longer side [-]
@@ -132,7 +132,7 @@ class SolidGel(GelBody):
         pixel = FACE_PIXEL * self.side
         screen, shape = (v[:, :2] - v[:, :2].min(0)) / pixel, np.ceil(np.ptp(v[:, :2], axis=0) / pixel).astype(int)
         faces, size = t.astype(np.uint32), (int(shape[1]), int(shape[0]))
-        high, low = (draw(faces, screen, sign * v[:, 2], v[:, 2:], size)[..., 0] for sign in (-1.0, 1.0))
+        high, low = (sign * nearest(faces, screen, sign * v[:, 2], size) for sign in (-1.0, 1.0))
         folded = np.argwhere(high - low > pixel * 2 * np.tan(self.coated))
         if len(folded):
             x, y = v[:, :2].min(0) + (folded[len(folded) // 2][::-1] + 0.5) * pixel

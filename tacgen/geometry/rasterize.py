@@ -9,7 +9,6 @@ from tacgen.compiled import njit
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True)
 def hits(
     faces: NDArray[np.uint32], screen: Floats, near: Floats, shape: tuple[int, int]
 ) -> tuple[NDArray[np.int32], Floats, bool]:
@@ -25,6 +24,15 @@ def hits(
         Number (H, W) of the triangle, -1 where none lies; weights (H, W, 2) of its second and third node there; and
         whether both sides of triangles show. Only then may triangles that share their edges lie over one another.
     """
+    triangle, place, _, both = rasterized(faces, screen, near, shape)
+    return triangle, place, both
+
+
+@njit(cache=True, error_model="numpy")
+def rasterized(
+    faces: NDArray[np.uint32], screen: Floats, near: Floats, shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], Floats, Floats, bool]:
+    """`hits`, with the smallest `near` (H, W) of each sample, infinite where no triangle lies, before its last."""
     height, width = shape
     triangle, place = np.empty((height, width), np.int32), np.empty((height, width, 2))
     depth, least, most = np.empty((height, width)), 0.0, 0.0
@@ -32,51 +40,56 @@ def hits(
     for t in range(len(faces)):
         a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]  # `= faces[t]` would count references, at twice the time
         ax, ay = screen[a, 0], screen[a, 1]
-        bx, by = screen[b, 0], screen[b, 1]
-        cx, cy = screen[c, 0], screen[c, 1]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        bx, by = screen[b, 0] - ax, screen[b, 1] - ay
+        cx, cy = screen[c, 0] - ax, screen[c, 1] - ay
+        area = bx * cy - by * cx
         if area == 0.0 or not np.isfinite(area):
             continue
         least, most = min(least, area), max(most, area)
-        left = max(0, int(np.ceil(min(ax, bx, cx) - 0.5)))
-        right = min(width - 1, int(np.floor(max(ax, bx, cx) - 0.5)))
-        top = max(0, int(np.ceil(min(ay, by, cy) - 0.5)))
-        bottom = min(height - 1, int(np.floor(max(ay, by, cy) - 0.5)))
+        left = max(0, int(np.ceil(ax + min(0.0, bx, cx) - 0.5)))
+        right = min(width - 1, int(np.floor(ax + max(0.0, bx, cx) - 0.5)))
+        top = max(0, int(np.ceil(ay + min(0.0, by, cy) - 0.5)))
+        bottom = min(height - 1, int(np.floor(ay + max(0.0, by, cy) - 0.5)))
+        if left > right or top > bottom:
+            continue
+        scale = 1.0 / area
+        bx, by, cx, cy = scale * bx, scale * by, scale * cx, scale * cy
         for j in range(top, bottom + 1):
+            y = j + 0.5 - ay
             for i in range(left, right + 1):
-                x, y = i + 0.5, j + 0.5
-                v = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
-                w = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
+                x = i + 0.5 - ax
+                v, w = x * cy - y * cx, bx * y - by * x
                 u = 1.0 - v - w
-                if u < -1e-12 or v < -1e-12 or w < -1e-12:
+                if min(u, v, w) < -1e-12:
                     continue
                 z = u * near[a] + v * near[b] + w * near[c]
                 if z < depth[j, i]:
                     depth[j, i], triangle[j, i] = z, t
                     place[j, i, 0], place[j, i, 1] = v, w
-    return triangle, place, least < 0.0 < most
+    return triangle, place, depth, least < 0.0 < most
 
 
 @njit(cache=True)
 def blend(faces: NDArray[np.uint32], triangle: NDArray[np.int32], place: Floats, values: Floats) -> Floats:
-    """Values (nodes, c) behind each sample (H, W, c) of `hits`, linear on triangles; nan where none lies."""
-    height, width = triangle.shape
-    out = np.empty((height, width, values.shape[1]))
-    out[:] = np.nan  # np.full takes longer to compile
-    for j in range(height):
-        for i in range(width):
-            if triangle[j, i] >= 0:
-                t, v, w = triangle[j, i], place[j, i, 0], place[j, i, 1]
+    """Values (nodes, c) at samples (n,) of `hits`, whose triangles (n,) and weights (n, 2) are given: (n, c), linear on
+    triangles; nan where none lies."""
+    out = np.empty((len(triangle), values.shape[1]))
+    for i in range(len(out)):
+        t, v, w = triangle[i], place[i, 0], place[i, 1]
+        for k in range(out.shape[1]):
+            if t < 0:
+                out[i, k] = np.nan
+            else:
                 a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
-                for k in range(values.shape[1]):
-                    out[j, i, k] = (1.0 - v - w) * values[a, k] + v * values[b, k] + w * values[c, k]
+                out[i, k] = (1.0 - v - w) * values[a, k] + v * values[b, k] + w * values[c, k]
     return out
 
 
-def draw(faces: NDArray[np.uint32], screen: Floats, near: Floats, values: Floats, shape: tuple[int, int]) -> Floats:
-    """Both in one: values (nodes, c) behind each sample (H, W, c), nan where no triangle lies."""
-    triangle, place, _ = hits(faces, screen, near, shape)
-    return np.asarray(blend(faces, triangle, place, values))
+def nearest(faces: NDArray[np.uint32], screen: Floats, near: Floats, shape: tuple[int, int]) -> Floats:
+    """The smallest `near` of the triangles behind each sample (H, W), as in `hits`; nan where none lies."""
+    depth = np.asarray(rasterized(faces, screen, near, shape)[2])
+    depth[np.isinf(depth)] = np.nan
+    return depth
 
 
 @njit(cache=True)

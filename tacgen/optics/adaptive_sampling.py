@@ -2,6 +2,7 @@
 other cells are halved."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,25 +37,40 @@ def evaluate(
         (h * w, c).
     """
     h, w = shape
-    rows, columns = (np.unique(np.append(np.arange(0, n, tolerance.stride), n - 1)) for n in shape)
-    top, left = (grid.ravel() for grid in np.meshgrid(rows[:-1], columns[:-1], indexing="ij"))
-    bottom, right = (grid.ravel() for grid in np.meshgrid(rows[1:], columns[1:], indexing="ij"))
-    cells = np.column_stack([top, bottom, left, right])
-    known, out = np.zeros(h * w, np.bool_), np.zeros((0, 0))
+    cells, known, out = lattice(shape, tolerance.stride), np.zeros(h * w, np.bool_), np.zeros((0, 0))
     while len(cells):
-        wanted = np.zeros(h * w, np.bool_)
-        for row in cells[:, :2].T:
-            for column in cells[:, 2:].T:
-                wanted[row * w + column] = True
-        points = np.flatnonzero(wanted & ~known)
+        points = corners(cells, known, w)
         values = light(points)
         out = out if out.size else np.zeros((h * w, values.shape[1]))
-        out[points], known[points] = values, True
+        out[points] = values
         cells = fill(out.reshape(h, w, -1), known.reshape(h, w), normals.reshape(h, w, 3), cells, *tolerance[1:])
     return out
 
 
+@lru_cache(maxsize=8)
+def lattice(shape: tuple[int, int], stride: int) -> Integers:
+    """The coarsest cells of a picture (h, w), whose sides are `stride` samples: (cells, 4), as in `fill`; read-only."""
+    rows, columns = (np.unique(np.append(np.arange(0, n, stride), n - 1)) for n in shape)
+    top, left = (grid.ravel() for grid in np.meshgrid(rows[:-1], columns[:-1], indexing="ij"))
+    bottom, right = (grid.ravel() for grid in np.meshgrid(rows[1:], columns[1:], indexing="ij"))
+    return np.column_stack([top, bottom, left, right])
+
+
 @njit(cache=True)
+def corners(cells: Integers, known: NDArray[np.bool_], width: int) -> Integers:
+    """Flat indices (n,) of the corners of cells (cells, 4) that are not `known` (h * w,) yet; known from then on."""
+    count, out = 0, np.empty(4 * len(cells), np.int64)
+    for m in range(len(cells)):
+        for y in range(2):
+            for x in range(2, 4):
+                at = cells[m, y] * width + cells[m, x]
+                if not known[at]:
+                    known[at], out[count] = True, at
+                    count += 1
+    return out[:count]
+
+
+@njit(cache=True, error_model="numpy")
 def fill(
     out: Floats, known: NDArray[np.bool_], normals: Floats, cells: Integers, bend: float, spread: float
 ) -> Integers:
@@ -65,7 +81,7 @@ def fill(
     """
     count, left = 0, np.empty((4 * len(cells), 4), np.int64)
     for m in range(len(cells)):
-        t, b, a, r = cells[m]
+        t, b, a, r = cells[m, 0], cells[m, 1], cells[m, 2], cells[m, 3]
         if b - t <= 1 and r - a <= 1:
             continue
         if bends(out, normals, t, b, a, r, bend, spread):
@@ -77,16 +93,17 @@ def fill(
                     count += 1
             continue
         for y in range(t, b + 1):
-            for x in range(a, r + 1):
-                if not known[y, x]:
-                    v, u = (y - t) / (b - t), (x - a) / (r - a)
-                    for c in range(out.shape[2]):
-                        top = (1 - u) * out[t, a, c] + u * out[t, r, c]
-                        out[y, x, c] = (1 - v) * top + v * ((1 - u) * out[b, a, c] + u * out[b, r, c])
+            v = (y - t) / (b - t)
+            for c in range(out.shape[2]):
+                first = (1 - v) * out[t, a, c] + v * out[b, a, c]
+                step = ((1 - v) * out[t, r, c] + v * out[b, r, c] - first) / (r - a)
+                for x in range(a, r + 1):
+                    if not known[y, x]:
+                        out[y, x, c] = first + (x - a) * step
     return left[:count]
 
 
-@njit(cache=False)
+@njit(cache=False, error_model="numpy")
 def bends(out: Floats, normals: Floats, t: int, b: int, a: int, r: int, bend: float, spread: float) -> bool:
     """Whether light cannot be interpolated in a cell; nan counts as not smooth."""
     for c in range(out.shape[2]):
@@ -95,11 +112,13 @@ def bends(out: Floats, normals: Floats, t: int, b: int, a: int, r: int, bend: fl
         if most - least > spread * most:
             return True
     for y in range(t, b + 1):
-        for x in range(a, r + 1):
-            v, u = (y - t) / (b - t), (x - a) / (r - a)
-            for c in range(3):
-                flat = (1 - v) * ((1 - u) * normals[t, a, c] + u * normals[t, r, c])
-                flat += v * ((1 - u) * normals[b, a, c] + u * normals[b, r, c])
-                if not abs(normals[y, x, c] - flat) <= bend:
-                    return True
+        v = (y - t) / (b - t)
+        for c in range(3):
+            first = (1 - v) * normals[t, a, c] + v * normals[b, a, c]
+            step = ((1 - v) * normals[t, r, c] + v * normals[b, r, c] - first) / (r - a)
+            smooth = True
+            for x in range(a, r + 1):
+                smooth &= abs(normals[y, x, c] - (first + (x - a) * step)) <= bend
+            if not smooth:
+                return True
     return False

@@ -85,15 +85,22 @@ class CameraView:
         return Samples(self, surface)
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
-        """Radiance (H, W, 3) of the coating with its markers; `bare` (samples, 3) is that without markers."""
+        """Radiance (H, W, 3) of the coating with its markers, from that without them, `bare` (samples, 3), which is
+        overwritten."""
         if self.markers is not None:
-            bare = _dimmed(bare, at.paint, self.markers.albedo / coating.white(self.sensor.coating) - 1)
+            _dim(bare, at.paint, self._change)
         return self.picture(bare)
 
-    def samples_of(self, picture: "Floats") -> "Floats":
-        """A picture (H, W, c) at each pixel's samples (samples, c)."""
-        n = self.samples
-        return np.repeat(np.repeat(picture, n, axis=0), n, axis=1).reshape(-1, picture.shape[2])
+    def add_even(self, made: "Floats", at: Samples, light: "Floats") -> None:
+        """Add to a picture `made` (H, W, 3), in place, the coating in light under which it would have the radiance
+        `light` (3,) everywhere without markers."""
+        _add_even(made, light, self.picture(at.paint), self._change)
+
+    @property
+    def _change(self) -> "Floats":
+        """Relative change (3,) of the coating's radiance under full paint."""
+        albedo = self.markers.albedo if self.markers else 0.0
+        return np.asarray(albedo / coating.white(self.sensor.coating) - 1)
 
     def paint(self, at: Samples) -> "Floats":
         """Share of marker paint (samples, 1); 0 where there is no gel."""
@@ -112,10 +119,17 @@ class CameraView:
 
 
 @njit(cache=True)
-def _dimmed(bare: "Floats", paint: "Floats", change: "Floats") -> "Floats":
-    """Light (samples, 3) times 1 + its share of paint (samples, 1) x `change` (3,)."""
-    out = np.empty(bare.shape)
+def _dim(bare: "Floats", paint: "Floats", change: "Floats") -> None:
+    """Multiply light (samples, 3) by 1 + its share of paint (samples, 1) x `change` (3,)."""
     for i in range(len(bare)):
         for c in range(3):
-            out[i, c] = bare[i, c] * (1.0 + paint[i, 0] * change[c])
-    return out
+            bare[i, c] *= 1.0 + paint[i, 0] * change[c]
+
+
+@njit(cache=True)
+def _add_even(made: "Floats", light: "Floats", paint: "Floats", change: "Floats") -> None:
+    """Add `light` (3,), changed like that by paint (H, W, 1), to a picture (H, W, 3)."""
+    for y in range(len(made)):
+        for x in range(made.shape[1]):
+            for c in range(3):
+                made[y, x, c] += light[c] * (1.0 + paint[y, x, 0] * change[c])

@@ -63,7 +63,7 @@ def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
     return painted(flat, counts, *markers.spacing_mm, markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def painted(
     xy: "Floats", counts: "NDArray[np.int64]", across: float, down: float, radius: float, edge: float
 ) -> "Floats":
@@ -71,7 +71,7 @@ def painted(
 
     Only the rows above and below a point are searched: a dot of another row is at least `down` away.
     """
-    out, last = np.empty(len(xy)), (len(counts) - 1) / 2
+    out, last, beyond = np.empty(len(xy)), (len(counts) - 1) / 2, (radius + edge / 2) ** 2
     for i in range(len(xy)):
         x, y = xy[i]
         if np.isnan(x + y):
@@ -79,10 +79,11 @@ def painted(
             continue
         above, away2 = min(max(int(np.floor(y / down + last)), 0), len(counts) - 1), np.inf
         for row in range(above, min(above + 2, len(counts))):
-            end = (counts[row] - 1) / 2
-            nearest = min(max(np.rint(x / across + end) - end, -end), end)
-            away2 = min(away2, (x - nearest * across) ** 2 + (y - (row - last) * down) ** 2)
-        out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0)
+            end, aside2 = (counts[row] - 1) / 2, (y - (row - last) * down) ** 2
+            if aside2 < beyond:
+                nearest = min(max(np.rint(x / across + end) - end, -end), end)
+                away2 = min(away2, (x - nearest * across) ** 2 + aside2)
+        out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0) if away2 < beyond else 0.0
     return out
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.geometry.rasterize import draw
+from tacgen.geometry.rasterize import nearest
 from tacgen.optics import adaptive_sampling, coating
 from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.shadows import Terrain
@@ -49,42 +49,44 @@ class Direct:
     def light(self, at: Samples) -> "Floats":
         """Light at the camera per unit radiance of each LED, 0 off the pad: (samples, strips, 2) of a white Lambertian
         coat and of a rough mirror, the latter only if the coat is specular."""
-        gather = self._gatherer(at, np.eye(len(self.sensor.leds)))
-        return self._everywhere(lambda index: gather(index).reshape(len(index), -1), at).reshape(
-            len(at.normal), len(self.sensor.leds), -1
-        )
+        each, none = np.eye(leds := len(self.sensor.leds)), np.zeros((leds, leds))
+        gather = self._gatherer(at, np.hstack([each, none]), np.hstack([none, each]))
+        kinds = 2 if self.sensor.coating.specular else 1
+        return self._everywhere(gather, at).reshape(len(at.normal), 2, leds).swapaxes(1, 2)[..., :kinds]
 
     def seen(self, at: Samples, glow: "Glow | None" = None) -> "Floats":
         """Linear radiance (H, W, 3) of the points behind the camera's rays, with the interreflection `glow`."""
         coat, markers = self.sensor.coating, self.view.markers
         white, dots = coating.white(coat), markers is not None and coat.specular > 0.0
-        gather = self._gatherer(at, np.array([led.light for led in self.sensor.leds]))
+        led = np.array([led.light for led in self.sensor.leds])
+        matt, gloss = (1 - coat.specular) * led * coat.albedo, coat.specular * coating.METAL * led
+        if dots:  # the light that arrives, too, which paint reflects
+            matt, gloss = np.hstack([matt, led]), np.hstack([gloss, 0 * led])
+        gather = self._gatherer(at, matt, gloss)
 
         def bare(index: "NDArray[np.int64]") -> "Floats":
-            light = gather(index)
-            matt, bounced = light[..., 0], np.zeros((len(index), 3))
+            seen = gather(index)
             if glow is not None:
-                bounced = glow.at(at.normal[index], index) * np.isfinite(at.position[index, 2:])
-            seen = (1 - coat.specular) * matt * coat.albedo + bounced
-            if coat.specular:
-                seen += coat.specular * coating.METAL * light[..., 1]
-            return np.column_stack([seen, matt + bounced / white]) if dots else seen
+                bounced = glow.at(at.normal[index], index) * np.isfinite(at.normal[index, 2:])
+                seen[:, :3] += bounced
+                seen[:, 3:] += bounced / white if dots else 0.0
+            return seen
 
         radiance = self._everywhere(bare, at)
         if markers is None or not dots:
             return self.view.dimmed(at, radiance)
         return self.view.picture(radiance[:, :3] + at.paint * (markers.albedo * radiance[:, 3:] - radiance[:, :3]))
 
-    def _gatherer(self, at: Samples, radiance: "Floats") -> "Light":
-        """A function of sample indices: radiance toward the camera by LEDs of radiance (strips, c), (n, c, 1 or 2)."""
+    def _gatherer(self, at: Samples, matt: "Floats", gloss: "Floats") -> "Light":
+        """A function of sample indices (n,): radiance toward the camera (n, c), of which each strip gives `matt` and
+        `gloss` (strips, c) by a white Lambertian coat and by a rough mirror."""
         coat = self.sensor.coating
         terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size, self._untouched)
-        kinds, alpha = (2, coat.roughness) if coat.specular else (1, 0.0)
+        alpha = coat.roughness if coat.specular else 0.0
 
         def gather(index: "NDArray[np.int64]") -> "Floats":
-            seen = at.position[index], at.normal[index], self._toward[index]
-            lit = toward_camera(*seen, self._columns, radiance, alpha, terrain)[..., :kinds]
-            return np.asarray(lit * self._seen[index, None, None])
+            seen = at.behind_some(at.nodes, index), at.normal[index], self._toward[index]
+            return toward_camera(*seen, self._columns, matt, gloss, alpha, terrain) * self._seen[index, None]
 
         return gather
 
@@ -107,5 +109,4 @@ def heights(sheet: Sheet, nodes: "Floats") -> "Floats":
     rows, columns = sheet.shape
     scale = np.array([columns - 1, rows - 1]) / sheet.size
     screen = (nodes[:, :2] + np.array(sheet.size) / 2) * scale + 0.5
-    z = nodes[:, 2].copy()
-    return np.nan_to_num(draw(sheet.faces, screen, z, z[:, None], (rows, columns))[..., 0])
+    return np.nan_to_num(nearest(sheet.faces, screen, nodes[:, 2].copy(), (rows, columns)), copy=False)

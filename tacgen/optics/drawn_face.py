@@ -45,9 +45,17 @@ class DrawnFace:
     def behind(self, values: "Floats", outermost: bool = False) -> "Floats":
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
         of what is nearest to the camera, or of what is outermost."""
-        triangle, place, _ = self._outermost if outermost and self.folded else self._nearest
+        return self._blended(values, *(self._outermost if outermost and self.folded else self._nearest)[:2])
+
+    def behind_some(self, values: "Floats", index: "NDArray[np.int64]") -> "Floats":
+        """Values (n, c) of `behind` at some samples, given by their flat indices (n,)."""
+        triangle, place, _ = self._nearest
+        return self._blended(values, triangle.ravel()[index], place.reshape(-1, 2)[index])
+
+    def _blended(self, values: "Floats", triangle: "NDArray[np.int32]", place: "Floats") -> "Floats":
         values = np.ascontiguousarray(values)  # `blend` would be compiled again for another memory layout
-        return np.asarray(blend(self.sheet.faces, triangle, place, values))
+        made = blend(self.sheet.faces, triangle.ravel(), place.reshape(-1, 2), values)
+        return np.asarray(made.reshape(*triangle.shape, -1))
 
     @cached_property
     def _nearest(self) -> "tuple[NDArray[np.int32], Floats, bool]":

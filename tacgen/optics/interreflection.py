@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.compiled import njit
 from tacgen.optics import coating, housing, strip_light
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Untouched
@@ -41,9 +42,21 @@ class Glow:
 
     def at(self, normal: "Floats", index: "NDArray[np.int64] | slice" = slice(None)) -> "Floats":
         """Radiance (n, 3) of a coat without markers, with normals (n, 3) at the samples `index`."""
-        dx, dy = np.clip(np.nan_to_num(normal[:, :2] - self.untouched[index]), -1.5 * TILT, 1.5 * TILT).T[..., None]
-        one, x, y, xx, yy = np.moveaxis(self.terms[index], 1, 0)
-        return np.asarray(np.maximum(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0))
+        return np.asarray(_turned(self.terms[index], normal, self.untouched[index]))
+
+
+@njit(cache=True)
+def _turned(terms: "NDArray[np.float32]", normal: "Floats", untouched: "Floats") -> "Floats":
+    """Glow.at, of terms (n, TERMS, 3), normals (n, 3) and the sideways parts of untouched ones (n, 2)."""
+    out = np.empty((len(normal), 3))
+    for i in range(len(normal)):
+        dx, dy = normal[i, 0] - untouched[i, 0], normal[i, 1] - untouched[i, 1]
+        dx = 0.0 if np.isnan(dx) else min(max(dx, -1.5 * TILT), 1.5 * TILT)
+        dy = 0.0 if np.isnan(dy) else min(max(dy, -1.5 * TILT), 1.5 * TILT)
+        for c in range(3):
+            one, x, y, xx, yy = terms[i, 0, c], terms[i, 1, c], terms[i, 2, c], terms[i, 3, c], terms[i, 4, c]
+            out[i, c] = max(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0)
+    return out
 
 
 class Radiosity:

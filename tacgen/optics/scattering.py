@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen.compiled import njit
+from tacgen.optics.gaussian import blur
 from tacgen.optics.surface_grid import Untouched
 
 if TYPE_CHECKING:
@@ -83,13 +84,11 @@ def averaged(share: "Floats", reach: float) -> "Floats":
     A wide one is applied to means over blocks of n x n pixels, whose result is spread by cubic B-splines. Each of the
     three adds its variance, (n^2 - 1) / 12 and n^2 / 3 [px^2] besides the filter's own.
     """
-    from scipy.ndimage import gaussian_filter
-
     n = max(1, int(reach / BLOCKS))
     if n == 1:
-        return np.asarray(gaussian_filter(share, reach, mode="nearest", truncate=3.0))
+        return blur(share[..., None], reach, truncate=3.0)[..., 0]
     own = np.sqrt(reach**2 - (n * n - 1) / 12 - n * n / 3) / n
-    coarse = gaussian_filter(_means(share, n), own, mode="nearest", truncate=3.0)
+    coarse = blur(_means(share, n)[..., None], own, truncate=3.0)[..., 0]
     return np.asarray(_spread(coarse, _splines(n), share.shape))
 
 
@@ -201,11 +200,7 @@ def gains(response: "ThicknessResponse", change: "Floats", mm_per_px: float) -> 
 
 def spread(gain: "Floats", reach: float) -> "Floats":
     """A picture of gains (h, w, k) averaged by a Gaussian of standard deviation `reach` [px]."""
-    if not reach:
-        return gain
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(gain, (reach, reach, 0), mode="nearest", truncate=3.0))
+    return blur(gain, reach, truncate=3.0) if reach else gain
 
 
 def gain(response: "ThicknessResponse", change: "Floats") -> "Floats":

@@ -15,24 +15,37 @@ from tacgen.compiled import njit
 Floats = NDArray[np.float64]
 SUMS = {"contract", "nsz", "arcp", "reassoc"}  # flags of LLVM's fast math with which sums in loops are vectorised
 SMALL, LARGE = 8, 32  # cells along the side of a block
+ONE, BLOCKS = np.uint32(1), (np.uint32(SMALL), np.uint32(LARGE))  # unsigned: indices need no check of their sign
 DENTED = 0.02  # smallest fall of a place since untouched with which it casts a shadow [mm]
 
 
 class Terrain(NamedTuple):
-    """Heights (h, w) [mm] over a rectangle of `size` (x, y) [mm] centred on 0, and the least of each block."""
+    """Heights (h, w) [mm] over a rectangle of `size` (x, y) [mm] centred on 0, and the least of what casts shadows in
+    each block, infinite where nothing does. Compiled code counts references to arrays, so numbers are in tuples."""
 
     heights: Floats
     small: Floats
     large: Floats
-    size: Floats
+    size: tuple[float, float]
     lowest: float
+    box: tuple[float, float, float, float]  # [cells] columns and rows beyond which nothing casts shadows
 
     @classmethod
     def of(cls, heights: Floats, size: tuple[float, float], before: Floats | None = None) -> "Terrain":
         """That of a face; with its heights `before`, only places that have receded since then cast shadows."""
         blocked = heights if before is None else np.where(heights < before - DENTED, heights, np.inf)
         small, large = (lowest(blocked, cells) for cells in (SMALL, LARGE))
-        return cls(heights, small, large, np.array(size), float(large.min()))
+        return cls(heights, small, large, size, float(large.min()), bounds(small))
+
+
+def bounds(small: Floats) -> tuple[float, float, float, float]:
+    """Terrain.box by its `small`: least and greatest column, least and greatest row; infinite at the grid's edges."""
+    box, there = [], np.isfinite(small)
+    for along in (0, 1):
+        blocks, count = np.flatnonzero(there.any(axis=along)), there.shape[1 - along]
+        first, last = (int(blocks[0]), int(blocks[-1]) + 1) if len(blocks) else (count, 0)
+        box += [SMALL * first if first else -np.inf, SMALL * last if last < count else np.inf]
+    return box[0], box[1], box[2], box[3]
 
 
 @njit(cache=True)
@@ -50,7 +63,7 @@ def lowest(heights: Floats, cells: int) -> Floats:
     return out
 
 
-@njit(cache=False, error_model="numpy", fastmath=SUMS)
+@njit(cache=False, error_model="numpy", fastmath=SUMS, inline="always")
 def horizon(
     terrain: Terrain,
     x: float,
@@ -72,7 +85,7 @@ def horizon(
         above, below: (least, greatest) slope of two bundles of rays, the steeper first. The result is exact within
             these ranges; outside, it only lies on the same side of each of the four limits as the horizon.
     """
-    heights, small, large, size, lowest = terrain
+    heights, small, large, size, lowest, box = terrain
     rows, columns = heights.shape
     wx, wy = size[0] / (columns - 1), size[1] / (rows - 1)
     u0, v0 = (x + size[0] / 2) / wx, (y + size[1] / 2) / wy  # in cells
@@ -88,18 +101,22 @@ def horizon(
     passed = limit = above[1]
     if lowest == np.inf:
         return float(passed)
+    enter, leave = (box[0], box[1]) if right else (box[1], box[0])
+    first, r = max(first, (enter - u0) * across), min(r, (leave - u0) * across - 1e-4)
+    enter, leave = (box[2], box[3]) if under else (box[3], box[2])
+    first, r = max(first, (enter - v0) * down), min(r, (leave - v0) * down - 1e-4)
     if limit < 0.0:  # farther away the ray is below the whole face
         r = min(r, (lowest - z) / limit)
     while r > first:  # from far to near: beyond a dome's rim this decides soonest
         u, v = u0 + r * du, v0 + r * dv
-        i, j = int(u), int(v)
-        bi, bj = i // LARGE, j // LARGE
+        i, j = np.uint32(u), np.uint32(v)
+        bi, bj = i // BLOCKS[1], j // BLOCKS[1]
         drop = large[bj, bi] - z
         enter = max(((bi + 1 - right) * LARGE - u0) * across, ((bj + 1 - under) * LARGE - v0) * down, first)
         if drop >= limit * (enter if drop < 0.0 else r):
             r = min(enter, r) - 1e-4
             continue
-        bi, bj = i // SMALL, j // SMALL
+        bi, bj = i // BLOCKS[0], j // BLOCKS[0]
         drop = small[bj, bi] - z
         enter = max(((bi + 1 - right) * SMALL - u0) * across, ((bj + 1 - under) * SMALL - v0) * down, first)
         if drop >= limit * (enter if drop < 0.0 else r):
@@ -107,8 +124,8 @@ def horizon(
             continue
         while True:
             a, b = u - i, v - j
-            rise = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + 1]) - z
-            rise += b * ((1 - a) * heights[j + 1, i] + a * heights[j + 1, i + 1])
+            rise = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + ONE]) - z
+            rise += b * ((1 - a) * heights[j + ONE, i] + a * heights[j + ONE, i + ONE])
             if rise < limit * r:
                 passed = limit = rise / r
                 if passed <= below[0]:
@@ -119,5 +136,5 @@ def horizon(
             if r <= enter:
                 break
             u, v = u0 + r * du, v0 + r * dv
-            i, j = int(u), int(v)
+            i, j = np.uint32(u), np.uint32(v)
     return float(passed)

@@ -46,6 +46,11 @@ STEEP = -1e-3  # largest z component of a normal [-]
 # Fields of a column's light: its irradiance vector times distance^2 [mm^2], and half its range of slopes [-].
 X, Y, Z, HALF = range(FIELDS := 4)
 
+# A column's light on a point of the face: lateral part of the irradiance vector times distance^2, over its range of
+# slopes [mm^2]; its least slope (rise over sideways way); the greatest that does not come from behind the face; and the
+# slope of the face, from which on it does [-].
+SIDE, LOW, HIGH, TURN = range(4)
+
 
 class Columns(NamedTuple):
     """Columns of a sensor's strips, and the table of their light."""
@@ -56,7 +61,7 @@ class Columns(NamedTuple):
     step: Floats  # between its entries [mm], (3,)
     # Of each column per unit radiance X, Y, Z and HALF of its direct light, and FIELDS later those of the reflected;
     # then of each column the slope up to which the untouched face lets light pass.
-    light: Singles  # (heights, rows, columns of places, (2 FIELDS + 1) x columns)
+    light: Singles  # (heights, rows, columns of places, (2 FIELDS + 1) x columns), field by field
     mirror: float  # height of the plate's air face [mm]
 
     @classmethod
@@ -83,18 +88,9 @@ class Columns(NamedTuple):
         light = column_light(places, z, lights, middle, level, home, table, Panels.of(sensor.leds), slab)
         lowest, step = np.array([x[0], y[0], z[0]]), np.array([x[1] - x[0], y[1] - y[0], z[1] - z[0]])
         horizons = untouched_horizons(places, z, middle, untouched)
-        light = np.concatenate([light.reshape(len(z), len(places), -1), horizons], axis=2)
+        light = np.concatenate([np.moveaxis(light, 3, 2).reshape(len(z), len(places), -1), horizons], axis=2)
         light = light.reshape(len(z), len(y), len(x), -1)
         return cls(middle, lights.strip[:: ALONG * UP].copy(), lowest, step, light, float(slab.bottoms[0]))
-
-
-class Incident(NamedTuple):
-    """Light of a column on a point of the face, in the vertical plane of its irradiance vector."""
-
-    side: float  # lateral part of the irradiance vector times distance^2 [mm^2]
-    slope: float  # mean slope of the light: rise over sideways way [-]
-    half: float  # half the range of its slopes
-    turn: float  # slope of the face in this plane: steeper light comes from behind it
 
 
 def seen(sensor: "LitSensor") -> Floats:
@@ -218,101 +214,116 @@ def untouched_horizons(places: Floats, z: Floats, middle: Floats, untouched: Ter
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             dx, dy = dx / rho, dy / rho
-            level = horizon(untouched, x, y, face, dx, dy, rho, SLOPES, SLOPES)
-            lower = horizon(untouched, x, y, face - HEIGHT_STEP, dx, dy, rho, SLOPES, SLOPES)
-            slope = (level - lower) / HEIGHT_STEP
-            for i in range(len(z)):
-                if z[i] < face:
-                    out[i, s, c] = horizon(untouched, x, y, z[i], dx, dy, rho, SLOPES, SLOPES)
-                else:
-                    out[i, s, c] = level + slope * (z[i] - face)
+            lower, level = 0.0, 0.0
+            for i in range(-2, len(z)):  # first below the face and on it
+                height = z[i] if i >= 0 else face + (i + 1) * HEIGHT_STEP
+                if i >= 0 and height >= face:
+                    out[i, s, c] = level + (level - lower) / HEIGHT_STEP * (height - face)
+                    continue
+                found = horizon(untouched, x, y, height, dx, dy, rho, SLOPES, SLOPES)
+                if i >= 0:
+                    out[i, s, c] = found
+                lower, level = (found, level) if i == -2 else (lower, found if i == -1 else level)
     return out
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
 def toward_camera(
-    p: Floats, n: Floats, view: Floats, columns: Columns, radiance: Floats, alpha: float, terrain: Terrain
+    p: Floats,
+    n: Floats,
+    view: Floats,
+    columns: Columns,
+    matt: Floats,
+    gloss: Floats,
+    alpha: float,
+    terrain: Terrain,
 ) -> Floats:
-    """Radiance toward the camera by strips of `radiance` (strips, c): (samples, c, 2), for a white Lambertian coat and
-    a rough mirror; alpha 0 leaves out the latter. `terrain`: what has receded since the face was untouched; the other
-    arguments are those of strip_light.gather."""
+    """Radiance toward the camera: (samples, c), 0 where there is no gel.
+
+    Args:
+        p, n, view: points, normals and directions to the camera (samples, 3), as in strip_light.gather.
+        columns: the light.
+        matt, gloss: what each strip (strips, c) adds by a white Lambertian coat and by a rough mirror.
+        alpha: the mirror's roughness; 0 leaves it out.
+        terrain: what has receded since the face was untouched.
+    """
     middle, strip, lowest, step, light, mirror = columns
-    out = np.zeros((len(p), radiance.shape[1], 2))
+    out, count = np.zeros((len(p), matt.shape[1])), len(middle)
+    got, bundle = np.empty(light.shape[3], np.float32), np.empty((2, 4, count))
     for s in range(len(p)):
-        if np.isnan(p[s, 0]):
+        x, y, z = p[s, 0], p[s, 1], p[s, 2]
+        if np.isnan(x):
             continue
-        x, y, z = p[s]
-        nx, ny, nz = n[s]
-        vx, vy, vz = view[s]
-        ci = max(nx * vx + ny * vy + nz * vz, 0.05)
-        got = trilinear(light, (x - lowest[0]) / step[0], (y - lowest[1]) / step[1], (z - lowest[2]) / step[2])
-        for c in range(len(middle)):
+        nx, ny, nz = n[s, 0], n[s, 1], min(n[s, 2], STEEP)
+        vx, vy, vz = view[s, 0], view[s, 1], view[s, 2]
+        ci = max(nx * vx + ny * vy + n[s, 2] * vz, 0.05)
+        trilinear(light, (x - lowest[0]) / step[0], (y - lowest[1]) / step[1], (z - lowest[2]) / step[2], got)
+        incident(got, nx, ny, nz, bundle)
+        for c in range(count):
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-            direct = incident(got, 2 * FIELDS * c, nx, ny, nz)
-            reflected = incident(got, 2 * FIELDS * c + FIELDS, nx, ny, nz)
-            free = np.float64(got[2 * FIELDS * len(middle) + c])
-            above = direct.slope - direct.half, min(direct.slope + direct.half, direct.turn, free)
-            below = reflected.slope - reflected.half, min(reflected.slope + reflected.half, reflected.turn, free)
-            lit = direct.side > 0.0 and above[0] < above[1], reflected.side > 0.0 and below[0] < below[1]
+            free = np.float64(got[2 * FIELDS * count + c])
+            above = bundle[0, LOW, c], min(bundle[0, HIGH, c], free)
+            below = bundle[1, LOW, c], min(bundle[1, HIGH, c], free)
+            lit = bundle[0, SIDE, c] > 0.0 and above[0] < above[1], bundle[1, SIDE, c] > 0.0 and below[0] < below[1]
             if not (lit[0] or lit[1]):
                 continue
             above = above if lit[0] else below
             below = below if lit[1] else above
             edge = min(horizon(terrain, x, y, z, dx / rho, dy / rho, rho, above, below), free)
-            matt, gloss = 0.0, 0.0
+            white, bright = 0.0, 0.0
             for image in range(2):
-                if not lit[image]:
+                low, top = bundle[image, LOW, c], min(edge, bundle[image, HIGH, c])
+                if not lit[image] or top <= low:
                     continue
-                side, slope, half, turn = reflected if image else direct
                 rise = 2 * mirror - middle[c, 2] - z if image else middle[c, 2] - z
-                side /= rho * rho + rise * rise
-                top = min(edge, turn, slope + half)
-                if top <= slope - half:
-                    continue
-                side *= (top - slope + half) / (2 * half)
-                seen = 0.5 * (top + slope - half)  # mean slope of what is seen of the column
-                co = -min(nz, STEEP) * (turn - seen)
-                matt += side * co
+                side = bundle[image, SIDE, c] * (top - low) / (rho * rho + rise * rise)
+                seen = 0.5 * (top + low)  # mean slope of what is seen of the column
+                turn = bundle[image, TURN, c]
+                white -= side * nz * (turn - seen)
                 if alpha > 0.0:
-                    spread = (top - slope + half) / np.sqrt(12.0)
+                    spread = (top - low) / np.sqrt(12.0)
                     for at in (seen - spread, seen + spread):  # Gauss's points
                         long = np.sqrt(1.0 + at * at)
                         toward = ((vx * dx + vy * dy) / rho + vz * at) / long
-                        cosine = -min(nz, STEEP) * (turn - at) / long
-                        gloss += 0.5 * side * long * ggx(toward, ci, cosine, alpha)
-            for m in range(radiance.shape[1]):
-                out[s, m, 0] += matt / np.pi * radiance[strip[c], m]
-                out[s, m, 1] += gloss * radiance[strip[c], m]
+                        bright += 0.5 * side * long * ggx(toward, ci, -nz * (turn - at) / long, alpha)
+            for m in range(matt.shape[1]):
+                out[s, m] += white / np.pi * matt[strip[c], m] + bright * gloss[strip[c], m]
     return out
 
 
 @njit(cache=False, error_model="numpy", fastmath=SUMS)
-def trilinear(table: Singles, u: float, v: float, w: float) -> Singles:
-    """A table (heights, rows, columns, c) at column u, row v and height w: (c,), linear, constant beyond its ends."""
+def trilinear(table: Singles, u: float, v: float, w: float, out: Singles) -> None:
+    """A table (heights, rows, columns, c) at column u, row v and height w: `out` (c,), linear, constant beyond its
+    ends."""
     u = min(max(u, 0.0), table.shape[2] - 1.001)
     v = min(max(v, 0.0), table.shape[1] - 1.001)
     w = min(max(w, 0.0), table.shape[0] - 1.001)
     i, j, k = int(u), int(v), int(w)
     a, b, d = np.float32(u - i), np.float32(v - j), np.float32(w - k)
     one = np.float32(1.0)
-    near00, near01, near10, near11 = table[k, j, i], table[k, j, i + 1], table[k, j + 1, i], table[k, j + 1, i + 1]
-    k += 1
-    far00, far01, far10, far11 = table[k, j, i], table[k, j, i + 1], table[k, j + 1, i], table[k, j + 1, i + 1]
     w00, w01, w10, w11 = (one - b) * (one - a), (one - b) * a, b * (one - a), b * a
-    out = np.empty(table.shape[3], np.float32)
     for c in range(len(out)):
-        near = w00 * near00[c] + w01 * near01[c] + w10 * near10[c] + w11 * near11[c]
-        out[c] = near + d * (w00 * far00[c] + w01 * far01[c] + w10 * far10[c] + w11 * far11[c] - near)
-    return out
+        near = w00 * table[k, j, i, c] + w01 * table[k, j, i + 1, c]
+        near += w10 * table[k, j + 1, i, c] + w11 * table[k, j + 1, i + 1, c]
+        far = w00 * table[k + 1, j, i, c] + w01 * table[k + 1, j, i + 1, c]
+        far += w10 * table[k + 1, j + 1, i, c] + w11 * table[k + 1, j + 1, i + 1, c]
+        out[c] = near + d * (far - near)
 
 
 @njit(cache=False, error_model="numpy", fastmath=SUMS)
-def incident(got: Singles, at: int, nx: float, ny: float, nz: float) -> Incident:
-    """The light whose fields begin at `got[at]`, on a face with this normal."""
-    ex, ey, ez = np.float64(got[at + X]), np.float64(got[at + Y]), np.float64(got[at + Z])
-    half = np.float64(got[at + HALF])
-    side = np.sqrt(ex * ex + ey * ey)
-    if side <= 0.0:
-        return Incident(0.0, 0.0, half, 0.0)
-    return Incident(side, ez / side, half, (nx * ex + ny * ey) / (side * -min(nz, STEEP)))
+def incident(got: Singles, nx: float, ny: float, nz: float, out: Floats) -> None:
+    """Light of the columns on a point of the face with this normal, each in the vertical plane of its irradiance
+    vector: `out` (2, 4, columns) of the direct light and of the reflected, from fields (2 FIELDS + 1, columns)."""
+    count = out.shape[2]
+    for image in range(2):
+        first = FIELDS * image * count
+        for c in range(count):
+            ex, ey = np.float64(got[first + X * count + c]), np.float64(got[first + Y * count + c])
+            ez, half = np.float64(got[first + Z * count + c]), np.float64(got[first + HALF * count + c])
+            side = np.sqrt(ex * ex + ey * ey)
+            each = 1.0 / max(side, 1e-30)
+            slope, turn = ez * each, -(nx * ex + ny * ey) * each / nz
+            out[image, SIDE, c] = side / (2 * half)
+            out[image, LOW, c], out[image, HIGH, c] = slope - half, min(slope + half, turn)
+            out[image, TURN, c] = turn

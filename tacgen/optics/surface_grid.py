@@ -49,7 +49,9 @@ class Untouched:
 
     def height(self, xy: "Floats") -> "Floats":
         """z (n,) [mm] at rest positions (n, 2) [mm]; a number on a flat face, even where they are nan."""
-        top = np.zeros(len(xy)) if self.pad is None or self.pad.flat else self.pad.top(*xy.T)
+        if self.pad is None or self.pad.flat:
+            return np.full(len(xy), 0.0 - self.skin * self.crown)
+        top = self.pad.top(*xy.T)
         return np.asarray(top - self.skin * (self.crown + top))
 
 
@@ -92,6 +94,11 @@ class Sheet:
         here.flags.writeable = False
         return here
 
+    @cached_property
+    def _outside(self) -> "NDArray[np.int64]":
+        """Nodes (n,) in cut-off corners."""
+        return np.flatnonzero((self.rest != self.inside).any(axis=1))
+
     @property
     def uv(self) -> "Floats":
         """Rest positions scaled to the unit square, (nodes, 2)."""
@@ -116,7 +123,7 @@ class Sheet:
             near = np.flatnonzero(~lost)[cKDTree(pad[~lost]).query(pad[lost])[1]]
             now[lost] = now[near]
             now[lost, :2] += (1.0 if self.whole else BEYOND) * (pad[lost] - pad[near])
-        now[:, :2] += self.rest - pad
+        now[self._outside, :2] += self.rest[self._outside] - pad[self._outside]
         return now
 
     def normals(self, now: "Floats") -> "Floats":
@@ -134,13 +141,12 @@ class Sheet:
 
 @njit(cache=True)
 def unit(vectors: "Floats") -> "Floats":
-    """Vectors (n, 3) scaled to length 1."""
-    out = np.empty(vectors.shape)
+    """Vectors (n, 3), which are overwritten, scaled to length 1."""
     for i in range(len(vectors)):
         x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         scale = 1.0 / np.sqrt(x * x + y * y + z * z)
-        out[i, 0], out[i, 1], out[i, 2] = scale * x, scale * y, scale * z
-    return out
+        vectors[i, 0], vectors[i, 1], vectors[i, 2] = scale * x, scale * y, scale * z
+    return vectors
 
 
 @njit(cache=True)

@@ -6,7 +6,6 @@ thickness (optics/scattering), traced once per sensor and cached. `PathTracer` i
 `table` is calibrated on `transport`.
 """
 
-from functools import lru_cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+Method = Literal["transport", "path", "table"]
 BOUNCE_POINTS = 6, 8  # quadrature points along and up each strip, for interreflection
 TABLE_COLUMNS = 64  # width of the images on which a table is calibrated [px]
 TABLE_EFFORT = 256  # the level of `Effort` of those images
@@ -81,12 +81,6 @@ class Clear:
         return self._direct.seen(at, self.glow)
 
 
-@lru_cache(maxsize=2)
-def clear(sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> Clear:
-    """Scenes of one sensor share it."""
-    return Clear(sensor, sheet, markers, spp, untouched)
-
-
 class Cloudy:
     """The untouched image, and brightness as a function of the averaged thickness, as traced by `traced_maps`."""
 
@@ -102,7 +96,9 @@ class Cloudy:
         """Linear radiance (H, W, 3), without noise of its own."""
         share = scattering.thickness(self._gel, at.position).reshape(self._view.shape)
         averaged = scattering.averaged(share, self._reach)
-        return self._view.picture(self._bright.tabulated.at(averaged.ravel())) * self.scattered
+        made = self._view.picture(self._bright.tabulated.at(averaged.ravel()))
+        made *= self.scattered
+        return made
 
 
 class Tabled:
@@ -157,7 +153,7 @@ class Renderer:
         seed: int,
         markers: bool,
         variant: str | None = None,
-        method: Literal["transport", "path", "table"] = "transport",
+        method: Method = "transport",
         untouched: Surface | None = None,
     ) -> None:
         """`spp`: paths a pixel, with `path` of each image, else of what is traced once; and the level of `Effort`.
@@ -174,15 +170,13 @@ class Renderer:
         effort, self.untouched = TransportEffort.of(spp), untouched or Untouched.of(sensor.gel)
         self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
         self._view = CameraView(sensor, self.sheet, markers, effort.samples)
-        self._stray = (
-            self._view.samples_of(camera_response.stray(sensor.camera)) if any(sensor.camera.ambient) else None
-        )
+        self._stray = camera_response.stray(sensor.camera) if any(sensor.camera.ambient) else None
         pixel = sensor.camera.mm_per_px / effort.samples
         self._texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
         self.light: Light
         if method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers):
             self.name = "transport"
-            self.light = clear(sensor, self.sheet, markers, spp, self.untouched)  # type: ignore[arg-type]
+            self.light = Clear(sensor, self.sheet, markers, spp, self.untouched)
             return
         if method == "table":
             self.name = "table"
@@ -198,9 +192,9 @@ class Renderer:
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
         at = self._view.look(surface)
-        made = self.light.seen(at)
+        made = np.asarray(self.light.seen(at), dtype=np.float64)
         if self._stray is not None:
-            made = made + self._view.dimmed(at, self._stray)
+            self._view.add_even(made, at, self._stray)
         if self._texture is not None:
             factor = coat_texture.sampled(self._texture, self.sheet.size, at.rest)
             made = made * self._view.picture(factor[:, None])

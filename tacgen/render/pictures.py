@@ -1,5 +1,6 @@
 """Deformed faces of one scene -> its camera pictures: rendered, over a photograph where there is one, and developed."""
 
+from functools import lru_cache
 from pathlib import Path
 from typing import cast
 
@@ -9,7 +10,7 @@ from tacgen.optics import camera_response
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import background_photo
 from tacgen.recipe.row import DRIFT, NOISE, Row
-from tacgen.render.images import Renderer
+from tacgen.render.images import Method, Renderer
 from tacgen.sensor.imperfections import Drift
 from tacgen.sensor.model import Camera, LitSensor
 
@@ -39,6 +40,15 @@ class Backdrop:
         return camera_response.unexposed(light, self._camera).astype(radiance.dtype)
 
 
+@lru_cache(maxsize=2)
+def _rendering(
+    sensor: LitSensor, spp: int, seed: int, markers: bool, method: Method, untouched: Surface | None
+) -> tuple[Renderer, Array]:
+    """A renderer and its radiance (H, W, 3) of the untouched face, which scenes of one sensor share."""
+    renderer = Renderer(sensor, spp, seed, markers, method=method, untouched=untouched)
+    return renderer, renderer.flat()
+
+
 class Pictures:
     """One scene's camera, with its recipe's renderer, photograph and noise."""
 
@@ -47,9 +57,11 @@ class Pictures:
         lit, render = cast(LitSensor, row.sensor), row.recipe.render  # recipe/optics_checks lets no other through
         solid = untouched if lit.gel.solid is not None else None
         spp, markers = row.recipe.resolved().spp, lit.markers is not None
-        self.renderer = Renderer(lit, spp, row.seed, markers, method=render.method, untouched=solid)
+        own = render.method == "path"  # whose random numbers depend on the seed and count the images
+        made = _rendering.__wrapped__ if own else _rendering
+        seed = row.seed if own else 0
+        self.renderer, flat = made(lit, spp, seed, markers, render.method, solid)  # type: ignore[arg-type]
         self._row, self._photo = row, None
-        flat = self.renderer.flat()  # first of all: the path tracer's random numbers count its images
         if row.photo_path is not None:
             self._photo = Backdrop(row.photo_path, flat, lit.camera)
         self.flat = self._over_photo(flat)

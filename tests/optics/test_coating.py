@@ -97,15 +97,19 @@ def test_response_is_srgb_or_linear_with_a_vignette():
 
 def test_stray_light_is_even_but_for_the_vignette_and_dots_stay_dark_in_it():
     model = sensor(camera={"ambient": (0.1, 0.2, 0.3), "exposure": 2.0, "colour_matrix": MIXED})
-    assert camera_response.expose(camera_response.stray(model.camera), model.camera) == pytest.approx(
+    light = camera_response.stray(model.camera)
+    assert camera_response.expose(np.broadcast_to(light, (32, 40, 3)), model.camera) == pytest.approx(
         [0.1, 0.2, 0.3] * camera_response.vignette(model.camera)
     )
     dark = model.model_copy(update={"leds": tuple(x.model_copy(update={"radiance": (0, 0, 0)}) for x in model.leds)})
-    view = CameraView(dark, Sheet.over(dark.gel, 0.2), True)
-    seen = view.dimmed(view.look(Untouched()), view.samples_of(camera_response.stray(model.camera)))
-    share = seen[16, 20] / camera_response.stray(model.camera)[16, 20]
     coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL
-    assert share == pytest.approx(0.03 / coat, rel=1e-6)
+    for samples in (1, 2):
+        view, seen = CameraView(dark, Sheet.over(dark.gel, 0.2), True, samples), np.ones((32, 40, 3))
+        at = view.look(Untouched())
+        view.add_even(seen, at, light)
+        bare = np.broadcast_to(light, (len(at.paint), 3)).copy()
+        assert seen == pytest.approx(1 + view.dimmed(at, bare))
+        assert (seen[16, 20] - 1) / light == pytest.approx(0.03 / coat, rel=1e-6)
 
 
 def test_colours_of_the_counts_mix_the_sensors_own_and_each_falls_off_by_itself():

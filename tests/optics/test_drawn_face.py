@@ -50,5 +50,11 @@ def test_only_a_face_that_tilts_over_is_folded(lean: float, folded: bool):
     assert np.nanmin(outermost - nearest) >= 0
 
 
+def test_some_samples_show_what_all_do():
+    drawn, index = DrawnFace(SHEET, Wave(1.0), CAMERA, 2), np.array([0, 7, 2345, 5119])
+    whole = drawn.behind(drawn.nodes).reshape(-1, 3)
+    assert np.array_equal(drawn.behind_some(drawn.nodes, index), whole[index], equal_nan=True)
+
+
 def test_an_untouched_dome_is_not_folded():
     assert not DrawnFace(SHEET, Untouched(pad=TINY.gel.pad), CAMERA).folded

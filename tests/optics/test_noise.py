@@ -70,3 +70,13 @@ def test_counts_are_the_rounded_curve_at_every_light(response: str) -> None:
     size = {"width_px": 1, "height_px": 510}
     plain = sensor().camera.model_copy(update={"response": response, "vignette_mm": None, "exposure": 1.0, **size})
     assert np.array_equal(camera_response.develop(even, plain), np.round(255 * camera_response.encoded(even, plain)))
+
+
+def test_noise_is_numpys_normal_numbers_in_the_order_of_the_pixels() -> None:
+    camera = sensor().camera.model_copy(update={"noise": GRAIN, "vignette_mm": None, "response": "linear"})
+    even, light = np.full((32, 40, 3), 0.3), np.full((32, 40, 3), 0.3 * camera.exposure)
+    for seed in range(300):  # more than a million numbers: some in the tails, which are drawn by another rule
+        normal = np.random.default_rng(seed).standard_normal(even.shape)
+        noise = np.sqrt(np.array(GRAIN.shot) * light + np.square(GRAIN.read)) * normal
+        made = camera_response.develop(even, camera, np.random.default_rng(seed))
+        assert np.array_equal(made, np.round(255 * np.clip(light + noise, 0, 1)))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from helpers.tiny import PLAIN, sensor
 
-from tacgen.optics import strip_light, strip_light_table
+from tacgen.optics import coating, strip_light, strip_light_table
+from tacgen.optics.adaptive_sampling import SamplingTolerance
 from tacgen.optics.direct_light import Direct, heights
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.shadows import Terrain, horizon
@@ -121,6 +122,53 @@ def test_only_what_has_drawn_back_shades_anew():
     assert old < 0.9 * new < 0.0
     assert whole == min(old, new)
     assert horizon(Terrain.of(before, (10.0, 10.0), before), *ray) == EVER[1]
+
+
+def test_the_box_of_what_casts_shadows_loses_none():
+    rng, size = np.random.default_rng(5), (9.0, 12.0)
+    y, x = np.mgrid[-6:6:121j, -4.5:4.5:91j]
+    shaded = 0
+    for middle in ((0.0, 0.0), (2.0, -3.0), (-4.0, 5.5)):  # the last at the grid's corner
+        dent = -0.8 * np.exp(-((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / 0.5)
+        terrain = Terrain.of(dent, size, np.zeros_like(dent))
+        everywhere = terrain._replace(box=(-np.inf, np.inf, -np.inf, np.inf))
+        for k in range(1500):
+            row, column, turn = rng.integers(0, 121), rng.integers(0, 91), rng.uniform(0, 2 * np.pi)
+            ray = (x[row, column], y[row, column], dent[row, column], np.cos(turn), np.sin(turn), rng.uniform(1, 15))
+            asked = EVER if k % 2 else (-0.2, -0.05)
+            found = horizon(terrain, *ray, asked, asked)
+            assert found == pytest.approx(horizon(everywhere, *ray, asked, asked), rel=1e-12)
+            shaded += found < asked[1]
+    assert shaded > 300
+
+
+def test_horizons_of_the_untouched_face_are_tabulated_and_go_on_linearly_above_it():
+    y, x = np.mgrid[-6:6:121j, -4.5:4.5:91j]
+    dome = -(x * x + y * y) / 40
+    terrain, middle, below = Terrain.of(dome, (9.0, 12.0)), np.array([[-7.0, 1.0, -2.0]]), -1.5
+    face = dome[40, 60]
+    places = np.array([[x[40, 60], y[40, 60], face]])
+    made = strip_light_table.untouched_horizons(places, np.array([below, face + 0.3]), middle, terrain)[:, 0, 0]
+    way = middle[0, :2] - places[0, :2]
+    reach = np.linalg.norm(way)
+    at = {z: horizon(terrain, *places[0, :2], z, *(way / reach), reach, EVER, EVER) for z in (below, face - 0.5, face)}
+    assert made[0] == pytest.approx(at[below], rel=1e-6)
+    assert made[1] == pytest.approx(at[face] + (at[face] - at[face - 0.5]) * 0.3 / 0.5, rel=1e-6)
+
+
+@pytest.mark.parametrize(("gloss", "dots"), [(0.0, False), (0.0, True), (0.3, False), (0.3, True)])
+def test_the_coating_mixes_the_lights_of_the_strips(gloss: float, dots: bool):
+    made = sensor(coating={"specular": gloss})
+    everywhere = SamplingTolerance(1)
+    direct = Direct(made, Sheet.over(made.gel, 0.2), dots, Untouched.of(made.gel), tolerance=everywhere)
+    at = direct.view.look(BallDent(2.0, 1.0, (0.6, -0.4), Untouched.of(made.gel)))
+    light = np.einsum("nki,kc->nci", direct.light(at), [led.light for led in made.leds])
+    matt, coat = light[..., 0], made.coating
+    bare = (1 - gloss) * matt * coat.albedo + (gloss * coating.METAL * light[..., -1] if gloss else 0.0)
+    painted = matt * made.markers.albedo if gloss else bare * made.markers.albedo / coating.white(coat)
+    expected = (bare + at.paint * (painted - bare)).reshape(32, 40, 3)
+    assert bool((at.paint > 0).any()) is dots
+    assert direct.seen(at) == pytest.approx(expected, rel=1e-12)
 
 
 def test_sensors_that_differ_in_radiance_or_dots_share_a_table_and_others_do_not(

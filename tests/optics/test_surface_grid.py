@@ -5,7 +5,7 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.geometry.outline import Pad
-from tacgen.geometry.rasterize import draw
+from tacgen.geometry.rasterize import blend, hits, nearest
 from tacgen.optics import adaptive_sampling
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
@@ -42,12 +42,14 @@ def test_drawing_interpolates_linearly_and_keeps_the_nearest():
     screen = (nodes[:, :2] + [6.0, 5.0]) * 4
     value = (2 * nodes[:, 0] - nodes[:, 1])[:, None]
     faces = np.concatenate([SHEET.faces, SHEET.faces + len(nodes)])
-    out = draw(
-        faces, np.tile(screen, (2, 1)), np.repeat([1.0, 2.0], len(nodes)), np.concatenate([value, value * 0]), (40, 50)
-    )
+    at, near = np.tile(screen, (2, 1)), np.repeat([1.0, 2.0], len(nodes))
+    triangle, place, both = hits(faces, at, near, (40, 50))
+    out = blend(faces, triangle.ravel(), place.reshape(-1, 2), np.concatenate([value, value * 0])).reshape(40, 50)
     y, x = np.mgrid[:40, :48] + 0.5
-    assert out[:, :48, 0] == pytest.approx(2 * (x / 4 - 6) - (y / 4 - 5), abs=1e-9)
+    assert out[:, :48] == pytest.approx(2 * (x / 4 - 6) - (y / 4 - 5), abs=1e-9)
     assert np.isnan(out[:, 48:]).all()
+    assert nearest(faces, at, near, (40, 50)) == pytest.approx(np.where(np.isnan(out), np.nan, 1.0), nan_ok=True)
+    assert not both
 
 
 def test_sparse_light_is_exact_where_it_bends_and_close_elsewhere():

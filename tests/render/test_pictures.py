@@ -1,0 +1,42 @@
+"""What the scenes of one sensor share of their pictures."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.tiny import sensor
+
+from tacgen.optics.surface_grid import Untouched
+from tacgen.render import pictures
+
+FILE = sensor()
+
+
+class Told:
+    """A renderer that tells its arguments."""
+
+    def __init__(self, *asked: Any, **named: Any) -> None:
+        self.asked = asked, named
+
+    def flat(self) -> np.ndarray:
+        return np.zeros((32, 40, 3), np.float32)
+
+
+def row(method: str, seed: int) -> Any:
+    recipe = SimpleNamespace(render=SimpleNamespace(method=method), resolved=lambda: SimpleNamespace(spp=16))
+    return SimpleNamespace(sensor=FILE, recipe=recipe, seed=seed, photo_path=None)
+
+
+@pytest.mark.parametrize(("method", "shared"), [("transport", True), ("table", True), ("path", False)])
+def test_scenes_share_a_renderer_whose_pictures_do_not_depend_on_their_seed(
+    method: str, shared: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pictures, "Renderer", Told)
+    pictures._rendering.cache_clear()
+    face = Untouched.of(FILE.gel)
+    one, again, other = (pictures.Pictures(row(method, seed), face) for seed in (1, 1, 2))
+    pictures._rendering.cache_clear()
+    assert (one.renderer is again.renderer) is shared
+    assert (one.renderer is other.renderer) is shared
+    assert (one.renderer.asked == other.renderer.asked) is shared
