@@ -105,7 +105,7 @@ def _attributes(
             found["renderer"] = shared.pictures.renderer.name
     radius, edge = problem.contact.shape.smallest_radius, problem.edge
     coarse = resolution_note(radius, edge, built.gel.thickness, formulation)
-    cost = cost_note(built) if problem.condensed else ""
+    cost = cost_note(built, len(problem.mesh.facets["coated"])) if problem.condensed else ""
     if row.pair is not None:
         found["pair"] = row.pair
     if solution is not None and solution.states:

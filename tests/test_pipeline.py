@@ -335,12 +335,12 @@ def test_forces_on_coarse_meshes_are_within_the_notes_bounds(
 def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> None:
     flat = scene_of_row.build(plan.load(assets.recipe_path("quickstart"), FLAT).rows[0])
     said = r"contact has about 4500 unknowns, since 538 mm\^2 of the face .* 0.6 mm: a frame takes about \d\d s"
-    assert re.match(said, cost_note.cost_note(flat))
+    assert re.match(said, cost_note.cost_note(flat, len(mesh.of(flat).facets["coated"])))
     way = "trajectory=[{press: {depth_mm: 1, frames: 1}}, {slide: {x_mm: 7, frames: 9}}]"
     sets = [way, "start.x_mm=-4", "quality={edge_mm: 0.2}"]
     ball = scene_of_row.build(plan.load(assets.recipe_path("quickstart"), sets).rows[0])
     assert 3 * len(mesh.touched(ball)) / mesh.FACE_STEPS**2 > cost_note.MANY_UNKNOWNS  # but not at once
-    assert not cost_note.cost_note(ball)
+    assert not cost_note.cost_note(ball, len(mesh.of(ball).facets["coated"]))
 
 
 def test_a_scene_without_contact_is_reported(recipe: Path, tmp_path: Path) -> None:

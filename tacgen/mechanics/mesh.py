@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -235,13 +235,15 @@ def touched(scene: Scene) -> Array:
     if scene.forced is not None:
         poses = poses.copy()
         poses[:, 2, 3] -= scene.forced.allowance
-    before = Pose.of(scene.start).local(face)
+    corners = np.array(list(product(*zip(face.min(0), face.max(0), strict=True))))  # no point moves more than they do
+    before = Pose.of(scene.start).local(corners)
     bound = np.zeros(len(face))  # of the distance, from below: it is evaluated only where this is negative
     for matrix in _dense(scene.start, poses, scene.shape.reach):
-        local = Pose.of(matrix).local(face)
-        bound -= MAX_SLOPE * np.linalg.norm(local - before, axis=1)
+        pose = Pose.of(matrix)
+        local = pose.local(corners)
+        bound -= MAX_SLOPE * np.linalg.norm(local - before, axis=1).max()
         near = np.flatnonzero(~hit & (bound <= 0))
-        bound[near] = scene.shape.distance(local[near])[0]
+        bound[near] = scene.shape.value(pose.local(face[near]))
         hit[near[bound[near] < 0]] = True
         before = local
     if hit.any():
@@ -254,4 +256,4 @@ def _dense(start: Array, poses: Array, step: float) -> Iterator[Array]:
     """The poses (n, 4, 4), and more between them, at most `step` [mm] of translation apart."""
     for a, b in pairwise([start, *poses]):
         n = max(1, math.ceil(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) / step))
-        yield from along(a, b, shortest_turn(a, b), n)
+        yield from [b] if n == 1 else along(a, b, shortest_turn(a, b), n)
