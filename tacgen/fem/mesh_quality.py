@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from tacgen.fem.elements import TET_EDGES, elements, grid_points
+from tacgen.fem.elements import TET_EDGES, grid_points, integration, jacobians
 
 Array = np.ndarray
 # the three neighbours of each corner along edges, right-handed
@@ -57,13 +57,14 @@ def nodal_volume(points: Array, tets: Array) -> Array:
     """Determinant of the map from the reference tet at each node (e, a) [mm^3]; for a straight tet six times its
     volume. The map of a curved tet is invertible at nodes where it is positive."""
     _, dN = grid_points(tets.shape[1])
-    return np.asarray(np.linalg.det(np.einsum("qaj,eai->eqij", dN, points[tets])))
+    return np.asarray(np.linalg.det(jacobians(points, tets, dN)))
 
 
 def measure(points: Array, cells: Array, volume: float) -> MeshQuality:
     """The quality of a mesh whose volume should be `volume` [mm^3]."""
     angle = None if cells.shape[1] == 8 else float(np.degrees(dihedral(points, cells).min()))
-    meshed = float(elements(points, cells).weights.sum())
+    _, dN, parts = integration(cells.shape[1])
+    meshed = float((np.linalg.det(jacobians(points, cells, dN)) / parts).sum())
     least = float(scaled_jacobian(points, cells).min())
     return MeshQuality(len(points), len(cells), angle, least, meshed / volume - 1)
 
