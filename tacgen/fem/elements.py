@@ -78,7 +78,7 @@ def trilinear(at: Array) -> tuple[Array, Array]:
 def jacobians(points: Array, conn: Array, dN: Array) -> Array:
     """dX/dxi (e, q, 3, 3) of elements conn (e, a) at points with the derivatives dN (q, a, 3)."""
     x = np.ascontiguousarray(np.moveaxis(points[conn], 0, -1))  # elements last: the longest axis in the inner loop
-    return np.moveaxis(np.einsum("qaj,aie->qije", dN, x), -1, 0)
+    return np.ascontiguousarray(np.moveaxis(np.einsum("qaj,aie->qije", dN, x), -1, 0))
 
 
 def _mapped(points: Array, conn: Array, dN: Array) -> tuple[Array, Array]:
