@@ -229,13 +229,14 @@ def touched(scene: Scene) -> Array:
     _refuse_above(60 * MAX_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
     x, y = (np.linspace(-size / 2, size / 2, math.ceil(size / step) + 1) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    face = np.column_stack([grid, gel.top(*grid.T)])
+    z = gel.top(*grid.T)
+    face = np.column_stack([grid, z])
     hit = np.zeros(len(face), bool)
     poses = scene.poses
     if scene.forced is not None:
         poses = poses.copy()
         poses[:, 2, 3] -= scene.forced.allowance
-    corners = np.array(list(product(*zip(face.min(0), face.max(0), strict=True))))  # no point moves more than they do
+    corners = np.array(list(product(x[[0, -1]], y[[0, -1]], (z.min(), z.max()))))  # no point moves more than they do
     before = Pose.of(scene.start).local(corners)
     bound = np.zeros(len(face))  # of the distance, from below: it is evaluated only where this is negative
     for matrix in _dense(scene.start, poses, scene.shape.reach):
