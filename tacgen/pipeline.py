@@ -269,14 +269,14 @@ class Recorder:
             if self.on_event:
                 self.on_event({"event": "note", "scene": self.name, "note": note})
 
-    def finish(self, status: Literal["ok", "rejected"], reason: str) -> None:
+    def finish(self, status: Literal["ok", "rejected"], reason: str) -> bundle.Bundle:
         """Close the bundle; `reason` says why it has not all frames."""
         late = []
         if not (reason or self.touched):
             gap = approach.closest(self.scene.shape, self.scene.gel, self.scene.poses)
             late = [f"{NO_CONTACT}, closest approach {gap:.3g} mm: check its start or poses, and their unit"]
         self._tell(late)
-        self.writer.finish(status, reason, late)
+        return self.writer.finish(status, reason, late)
 
     def labelled(self, state: mechanics.State, held: "tuple[Held, int] | None") -> Datasets:
         """The datasets of a frame. Raises Rejected: a label is not finite."""
@@ -328,12 +328,11 @@ def _made(
             if on_event:
                 on_event({"event": "frame", "scene": row.name, "frame": done, "frames": row.frames})
         with clock.stage("bundle"):
-            for recorder in recorders:
-                recorder.finish(status, reason)
+            bundles = tuple(recorder.finish(status, reason) for recorder in recorders)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
     atomic_file.write(path.with_suffix(".timing.json"), timing.encode())
-    return SceneResult(row.name, path, status, reason, done, seconds)
+    return SceneResult(row.name, path, status, reason, done, seconds, bundles)
 
 
 def _camera(row: Row) -> str:

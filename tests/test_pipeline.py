@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -19,7 +20,7 @@ from helpers.load_steps import watched
 from scipy.ndimage import map_coordinates
 
 from tacgen import mechanics, outputs, pipeline
-from tacgen.bundle import bundle
+from tacgen.bundle import bundle, journal, run_status
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.mechanics import cost_note, mesh
@@ -29,6 +30,7 @@ from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.row import NOISE
 from tacgen.render.images import Renderer
+from tacgen.report import dataset_card
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
@@ -330,6 +332,23 @@ def test_forces_on_coarse_meshes_are_within_the_notes_bounds(
     error = np.abs(coarse["/frames/force"] / fine["/frames/force"] - 1)[[0, 1], [2, 0]].max()
     bound = max(float(percent) for percent in re.findall(r"(\d+) %", note)) / 100
     assert bound / 2 < error < bound
+
+
+def test_a_result_holds_its_bundle_which_the_card_need_not_open(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, out = plan.load(recipe, ["quality.edge_mm=1.2", "outputs=[force]"]), tmp_path / "out"
+    out.mkdir()
+    journal.write_plan(made, out, None)
+    for _ in ("made", "kept"):
+        (done,) = pipeline.run(made.rows, out)
+        assert done.bundles == (bundle.read(done.path),)
+    (back,) = pickle.loads(pickle.dumps(done.bundles))
+    assert back == done.bundles[0]
+    assert back.attrs["sensor_document"] is done.bundles[0].attrs["sensor_document"]  # 4 kB that many scenes share
+    card = dataset_card.write(out).read_text()
+    monkeypatch.setattr(run_status, "read", lambda path: pytest.fail("opened again"))
+    assert dataset_card.write(out, [back]).read_text() == card
 
 
 def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> None:
