@@ -11,6 +11,7 @@ import sys
 import time
 import weakref
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -332,6 +333,25 @@ def test_forces_on_coarse_meshes_are_within_the_notes_bounds(
     error = np.abs(coarse["/frames/force"] / fine["/frames/force"] - 1)[[0, 1], [2, 0]].max()
     bound = max(float(percent) for percent in re.findall(r"(\d+) %", note)) / 100
     assert bound / 2 < error < bound
+
+
+def test_the_stages_of_a_scene_account_for_all_its_time(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that goes on by 1 s each time it is read."""
+    read = count()
+    monkeypatch.setattr(pipeline.Clock, "now", staticmethod(lambda: float(next(read))))
+    clock = pipeline.Clock()
+    with clock.stage("outer"):
+        for _ in range(2):
+            with clock.stage("inner"):
+                pass
+    assert clock.seconds == {"inner": 2.0, "outer": 3.0}
+    begin = next(read)
+    (row,) = plan.load(recipe, ["quality.edge_mm=1.2", "outputs=[force]"]).rows
+    seconds = pipeline.run_scene(row, tmp_path).seconds
+    assert sum(seconds.values()) == pytest.approx(next(read) - begin - 3, abs=1e-3)  # before, between and after stages
+    assert seconds.keys() >= {"start", "mesh", "solve", "fields", "bundle"}
 
 
 def test_a_result_holds_its_bundle_which_the_card_need_not_open(

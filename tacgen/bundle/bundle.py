@@ -122,7 +122,8 @@ class Writer:
         with self._sink.guard():
             for path, column in self._columns.items():
                 column.finish()
-                checksums[path] = Dataset.of(column.data, column.hash.hexdigest())
+                described = column.data.dtype.str, column.data.shape, attributes(path)  # as `verify` finds them
+                checksums[path] = Dataset(*described, column.hash.hexdigest())
             self._file.attrs.update({**late, "digest": _digest(self._attrs, checksums), "complete": True})
             self._file.close()
         try:
@@ -140,8 +141,9 @@ class Writer:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
         values = rounded(path, np.asarray(array).astype(row.dtype, order="C", casting="same_kind", copy=False))
         self._sizes.pop("N", None)
+        known = path in self._columns and self._columns[path].shape == values.shape
         shape = (self.appended + 1, *values.shape) if per_frame else values.shape
-        if problem := shape_problem(path, shape, self._sizes):
+        if not known and (problem := shape_problem(path, shape, self._sizes)):
             raise ValueError(problem)
         return values
 

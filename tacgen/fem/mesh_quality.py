@@ -45,12 +45,12 @@ def scaled_jacobian(points: Array, cells: Array) -> Array:
     For a quadratic tet the volume is that of its curved map at the worst node: 0 where an edge node inverts it.
     """
     ends = HEX_ENDS if cells.shape[1] == 8 else TET_ENDS
-    x = points[cells[:, : len(ends)]]
-    sides = x[:, ends] - x[:, : len(ends), None]
-    length = np.linalg.norm(sides, axis=-1).prod(-1)
+    x = np.ascontiguousarray(np.moveaxis(points[cells[:, : len(ends)]], 0, -1))  # cells last: the longest loop
+    sides = [x[ends[:, k]] - x for k in range(3)]  # each (corners, 3, e)
+    length = np.maximum(np.prod([np.sqrt((side**2).sum(1)) for side in sides], axis=0), 1e-300)
     if len(ends) == 8:
-        return np.asarray((np.linalg.det(sides) / np.maximum(length, 1e-300)).min(1))
-    return np.asarray(np.sqrt(2) * nodal_volume(points, cells).min(1) / np.maximum(length.max(1), 1e-300))
+        return np.asarray(((sides[0] * np.cross(*sides[1:], axis=1)).sum(1) / length).min(0))
+    return np.asarray(np.sqrt(2) * nodal_volume(points, cells).min(1) / length.max(0))
 
 
 def nodal_volume(points: Array, tets: Array) -> Array:
