@@ -146,7 +146,7 @@ class _Solutions:
         """Whether a row's solution is there, or none is needed."""
         if (now := time.monotonic()) > self._seen + LOOK_S:
             self._there, self._seen = {path.stem for path in (self._folder / FOLDER).glob("*.npz")}, now
-        return row.name not in self._places or self._places[row.name].stem in self._there
+        return row.name not in self._places or row.name in self._there
 
     def watch(self, event: dict[str, Any]) -> None:
         """Pass on an event and the notes before it; the solution of a scene that has ended is deleted."""
@@ -171,7 +171,7 @@ class _Solutions:
 
     def _clear(self) -> None:
         """Delete the solutions of these rows; other shards may still need theirs."""
-        for place in self._places.values():
+        for place in {*self._places.values()}.intersection((self._folder / FOLDER).glob("*.npz")):
             place.unlink(missing_ok=True)
         with suppress(OSError):  # not empty, or not there
             os.rmdir(self._folder / FOLDER)
