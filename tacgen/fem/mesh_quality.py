@@ -49,7 +49,7 @@ def scaled_jacobian(points: Array, cells: Array) -> Array:
     sides = [x[ends[:, k]] - x for k in range(3)]  # each (corners, 3, e)
     length = np.maximum(np.prod([np.sqrt((side**2).sum(1)) for side in sides], axis=0), 1e-300)
     if len(ends) == 8:
-        return np.asarray(((sides[0] * np.cross(*sides[1:], axis=1)).sum(1) / length).min(0))
+        return np.asarray(((sides[0] * np.cross(sides[1], sides[2], axis=1)).sum(1) / length).min(0))
     return np.asarray(np.sqrt(2) * nodal_volume(points, cells).min(1) / length.max(0))
 
 

@@ -317,7 +317,8 @@ class ConeSdf(Grown):
 
         def jacobian() -> Array:
             generator = radial * s + np.array([0.0, 0.0, c])
-            return side * (_outer(generator) + _outer(azimuth) * (along * s / np.maximum(rho, 1e-12))[:, None, None])
+            turning = (along * s / np.maximum(rho, 1e-12))[:, None, None]
+            return np.asarray(side * (_outer(generator) + _outer(azimuth) * turning))
 
         normal = radial * c - np.array([0.0, 0.0, s])
         normal = np.where(side[:, :, 0], normal, DOWN)
@@ -362,7 +363,7 @@ class WedgeSdf(Grown):
             jac = (along > 0)[:, None, None] * _outer(np.stack([sign * s, zero, np.full_like(sign, c)], 1))
             jac[within] = np.diag([1.0, 0.0, 1.0])
             jac[:, 1, 1] += np.abs(p[:, 1]) < half
-            return jac
+            return np.asarray(jac)
 
         side_out = np.stack([sign * c, zero, np.full_like(sign, -s)], 1)
         end_out = np.stack([zero, np.where(p[:, 1] >= 0, 1.0, -1.0), zero], 1)
