@@ -18,6 +18,7 @@ import numpy as np
 
 Array = np.ndarray
 DOWN = np.array([0.0, 0.0, -1.0])
+MAX_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
 
 
 class Shape(Protocol):

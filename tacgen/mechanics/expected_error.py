@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.geometry.analytic_sdf import MAX_SLOPE
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.mesh import MAX_SLOPE
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape

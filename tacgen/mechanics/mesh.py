@@ -11,13 +11,13 @@ from tacgen import array_cache
 from tacgen.errors import UserError
 from tacgen.fem.elements import boxes
 from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
+from tacgen.geometry.analytic_sdf import MAX_SLOPE
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose, along, shortest_turn
 from tacgen.mechanics import tet_mesh
 from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
-MAX_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
 # nodes; and the edge asked of fTetWild over that of a hex [-], which returns edges 1.25 to 1.35 times as long
 TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
 MIN_ANGLE_DEG = 2.0  # smallest dihedral angle of a tet [deg]
