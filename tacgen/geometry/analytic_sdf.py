@@ -36,7 +36,7 @@ class Shape(Protocol):
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""
 
     def value(self, p: Array) -> Array:
-        """Signed distance [mm] (n,) alone, in a fifth of the time."""
+        """Signed distance [mm] (n,) alone, in an eighth of the time."""
 
     def support(self, direction: Array) -> float:
         """Support function: extent along a unit vector (3,) [mm]; inf where the shape is infinite."""
@@ -60,8 +60,8 @@ class Triangles:
 
 
 class Core(NamedTuple):
-    """Closest core points c (n, 3), dc/dp (n, 3, 3) on demand, depth inside the core (n,) >= 0 and direction out of it
-    (n, 3).
+    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and direction out of it (n, 3);
+    functions give what the distance alone does not need.
 
     A core that is a point or a line has no interior: on it the direction out is down.
     """
@@ -69,7 +69,7 @@ class Core(NamedTuple):
     closest: Array
     jacobian: Callable[[], Array]
     depth: Array | float = 0.0
-    out: Array = DOWN
+    out: Callable[[], Array] = lambda: DOWN
 
 
 def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
@@ -101,7 +101,7 @@ class Grown(ABC):
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         d, core, v, length, inside = self._seen(p)
         safe = np.where(inside, 1.0, length)
-        n = np.where(inside[:, None], core.out, v / safe[:, None])
+        n = np.where(inside[:, None], core.out(), v / safe[:, None])
         H = np.einsum("ni,nj->nij", -n, n)  # in place from here on: twice as fast as with an array for each operation
         H += np.eye(3) - core.jacobian()
         H /= safe[:, None, None]
@@ -135,11 +135,15 @@ def _diagonal(entries: Array) -> Array:
     return np.asarray(entries[:, :, None] * np.eye(3))
 
 
-def _inside_box(inside_by: Array, normals: Array) -> tuple[Array, Array]:
-    """Depth (n,) and direction out (n, 3) from distances inside each face (n, k) and their normals (n, k, 3)."""
-    face = inside_by.argmin(1)
-    rows = np.arange(len(face))
-    return np.maximum(inside_by[rows, face], 0.0), normals[rows, face]
+def _nearest(inside_by: list[Array], normals: list[Array]) -> Array:
+    """Direction out (n, 3) from distances (n,) inside each face and the faces' normals (n, 3)."""
+    face = np.argmin(inside_by, axis=0)
+    return np.asarray(np.stack(normals)[face, np.arange(len(face))])
+
+
+def _depth(inside_by: list[Array]) -> Array:
+    """Depth (n,) from distances (n,) inside each face."""
+    return np.asarray(np.maximum(np.min(inside_by, axis=0), 0.0))
 
 
 @dataclass(frozen=True)
@@ -247,9 +251,8 @@ class CylinderSdf(Grown):
             jac[:, 2, 2] += p[:, 2] > low
             return jac
 
-        down = np.broadcast_to(DOWN, p.shape)
-        depth, out = _inside_box(np.stack([p[:, 2] - low, rim - rho], 1), np.stack([down, radial], 1))
-        return Core(c, jacobian, depth, out)
+        by = [p[:, 2] - low, rim - rho]
+        return Core(c, jacobian, _depth(by), lambda: _nearest(by, [np.broadcast_to(DOWN, p.shape), radial]))
 
 
 @dataclass(frozen=True)
@@ -277,13 +280,13 @@ class BoxSdf(Grown):
     def core(self, p: Array) -> Core:
         half = np.array([self.size_x, self.size_y]) / 2 - self.fillet
         c = np.stack([*np.clip(p[:, :2], -half, half).T, np.maximum(p[:, 2], self.fillet)], 1)
-        side = half - np.abs(p[:, :2])
-        sign = np.where(p[:, :2] >= 0, 1.0, -1.0)
-        down = np.broadcast_to(DOWN, p.shape)
-        x_out, y_out = (np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))
-        offsets = np.stack([p[:, 2] - self.fillet, side[:, 0], side[:, 1]], 1)
-        depth, out = _inside_box(offsets, np.stack([down, x_out, y_out], 1))
-        return Core(c, lambda: _diagonal((c == p).astype(float)), depth, out)
+        by = [p[:, 2] - self.fillet, *(half - np.abs(p[:, :2])).T]
+
+        def out() -> Array:
+            sign = np.where(p[:, :2] >= 0, 1.0, -1.0)
+            return _nearest(by, [np.broadcast_to(DOWN, p.shape), *(np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))])
+
+        return Core(c, lambda: _diagonal((c == p).astype(float)), _depth(by), out)
 
 
 @dataclass(frozen=True)
@@ -321,9 +324,10 @@ class ConeSdf(Grown):
             turning = (along * s / np.maximum(rho, 1e-12))[:, None, None]
             return np.asarray(side * (_outer(generator) + _outer(azimuth) * turning))
 
-        normal = radial * c - np.array([0.0, 0.0, s])
-        normal = np.where(side[:, :, 0], normal, DOWN)
-        return Core(closest, jacobian, np.where(inside, -outward, 0.0), normal)
+        def out() -> Array:
+            return np.where(side[:, :, 0], radial * c - np.array([0.0, 0.0, s]), DOWN)
+
+        return Core(closest, jacobian, np.where(inside, -outward, 0.0), out)
 
 
 @dataclass(frozen=True)
@@ -366,8 +370,10 @@ class WedgeSdf(Grown):
             jac[:, 1, 1] += np.abs(p[:, 1]) < half
             return np.asarray(jac)
 
-        side_out = np.stack([sign * c, zero, np.full_like(sign, -s)], 1)
-        end_out = np.stack([zero, np.where(p[:, 1] >= 0, 1.0, -1.0), zero], 1)
-        offsets = np.stack([np.where(along > 0, -outward, -1.0), half - np.abs(p[:, 1])], 1)
-        depth, out = _inside_box(offsets, np.stack([side_out, end_out], 1))
-        return Core(closest, jacobian, depth, out)
+        by = [np.where(along > 0, -outward, -1.0), half - np.abs(p[:, 1])]
+
+        def out() -> Array:
+            end = np.stack([zero, np.where(p[:, 1] >= 0, 1.0, -1.0), zero], 1)
+            return _nearest(by, [np.stack([sign * c, zero, np.full_like(sign, -s)], 1), end])
+
+        return Core(closest, jacobian, _depth(by), out)
