@@ -126,7 +126,7 @@ def run(
                 on_event=on_event,
             )
         if any(result.status == "ok" for result in results):
-            card = dataset_card.write(out)
+            card = dataset_card.write(out, (bundle for result in results for bundle in result.bundles))
             if card != out / dataset_card.FILE_NAME:
                 warn([f"{out / dataset_card.FILE_NAME}: not the card that tacgen wrote, kept; the card is {card}"])
     count = {status: sum(r.status == status for r in results) for status in ("ok", "rejected", "failed")}

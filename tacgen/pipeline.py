@@ -2,10 +2,12 @@
 
 import json
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -28,6 +30,8 @@ from tacgen.recipe import approach, scene_of_row
 from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
     from tacgen.mechanics.grasp_balance import Held
     from tacgen.outputs.gel_surface import GelSurface
     from tacgen.render.pictures import Pictures
@@ -44,7 +48,7 @@ class Rejected(ArithmeticError):
 
 
 class Clock:
-    """Seconds by `now` spent in each stage, and apart from them on compiling."""
+    """Seconds by `now` spent in each stage without the stages within it, and apart from them on compiling."""
 
     now = staticmethod(time.perf_counter)
 
@@ -53,12 +57,13 @@ class Clock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        start, before = self.now(), compiled.seconds()
+        start, before, counted = self.now(), compiled.seconds(), dict(self.seconds)
         try:
             yield
         finally:
-            spent, compiling = self.now() - start, compiled.seconds() - before
-            for key, seconds in ((name, spent - compiling), ("compile", compiling)):
+            compiling = compiled.seconds() - before - self.seconds.get("compile", 0.0) + counted.get("compile", 0.0)
+            inside = sum(self.seconds.values()) - sum(counted.values())
+            for key, seconds in ((name, self.now() - start - inside - compiling), ("compile", compiling)):
                 if seconds:
                     self.seconds[key] = self.seconds.get(key, 0.0) + seconds
 
@@ -94,8 +99,10 @@ def _attributes(
         "sensor_document": row.sensor_document(),
         "input_key": row.key,
         "values": row.values,
-        "mesh": mesh.quality(built.gel, problem.mesh),
     }
+    with clock.stage("mesh"):
+        found["mesh"] = mesh.quality(built.gel, problem.mesh)
+        cost = cost_note(built, len(problem.mesh.facets["coated"])) if problem.condensed else ""
     if row.finger is not None:
         found["finger"] = row.finger
     formulation = row.recipe.contact.formulation
@@ -105,7 +112,6 @@ def _attributes(
             found["renderer"] = shared.pictures.renderer.name
     radius, edge = problem.contact.shape.smallest_radius, problem.edge
     coarse = resolution_note(radius, edge, built.gel.thickness, formulation)
-    cost = cost_note(built) if problem.condensed else ""
     if row.pair is not None:
         found["pair"] = row.pair
     if solution is not None and solution.states:
@@ -142,7 +148,6 @@ def run_scene(
 
 def _make(row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene | None) -> SceneResult:
     """The work itself, with one BLAS thread: more would add up in another order, and change the bytes."""
-    from threadpoolctl import threadpool_limits
 
     def tell() -> None:
         if on_event:
@@ -156,8 +161,21 @@ def _make(row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene 
     with compiled.telling(tell), array_cache.telling(tell_tracing):
         with clock.stage("start"), compiled.once("solve"):
             mechanics.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
-        with threadpool_limits(1, user_api="blas"):
-            return _made(row, path, on_event, clock, solution)
+            one_thread = _blas(len(sys.modules)).limit(limits=1, user_api="blas")
+        with one_thread, clock.stage("bundle"):
+            status, reason, done, bundles = _made(row, path, on_event, clock, solution)
+    seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
+    timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
+    atomic_file.write(path.with_suffix(".timing.json"), timing.encode())
+    return SceneResult(row.name, path, status, reason, done, seconds, bundles)
+
+
+@lru_cache(maxsize=1)
+def _blas(modules: int) -> "ThreadpoolController":
+    """The BLAS libraries of this process, looked for again when it has loaded more modules."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
@@ -238,7 +256,10 @@ class Recorder:
         (row, self.scene, problem), self.clock = solvable, clock
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
         self.before: mechanics.State | None = None
-        self.shared = _shared(row, self.scene, problem)
+        with clock.stage("fields"):
+            self.shared = _shared(row, self.scene, problem)
+            known = row.recipe.contact.formulation == "distance" and self.scene.element != "linear_tet"
+            self.face = FaceGrid.of(self.scene.gel) if known else None
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
         images = {k: made.pop(k) for k in NAMES if k in IMAGES & made.keys()}
         with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first
@@ -250,8 +271,6 @@ class Recorder:
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(row, self.scene, self.shared, clock, solution)
         self.name, self.on_event, self.touched = row.name, on_event, False
-        known = row.recipe.contact.formulation == "distance" and self.scene.element != "linear_tet"
-        self.face = FaceGrid.of(self.scene.gel) if known else None
         self._tell(attributes.get("notes", ()))
         self.writer = bundle.Writer(path, attributes, row.frames)
 
@@ -269,36 +288,33 @@ class Recorder:
             if self.on_event:
                 self.on_event({"event": "note", "scene": self.name, "note": note})
 
-    def finish(self, status: Literal["ok", "rejected"], reason: str) -> None:
+    def finish(self, status: Literal["ok", "rejected"], reason: str) -> bundle.Bundle:
         """Close the bundle; `reason` says why it has not all frames."""
         late = []
         if not (reason or self.touched):
             gap = approach.closest(self.scene.shape, self.scene.gel, self.scene.poses)
             late = [f"{NO_CONTACT}, closest approach {gap:.3g} mm: check its start or poses, and their unit"]
         self._tell(late)
-        self.writer.finish(status, reason, late)
+        return self.writer.finish(status, reason, late)
 
     def labelled(self, state: mechanics.State, held: "tuple[Held, int] | None") -> Datasets:
         """The datasets of a frame. Raises Rejected: a label is not finite."""
-        frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before, held), self.clock))
-        self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
-        frame["/frames/segment"] = self.scene.segment[state.index]
-        width = self.face.width(self.scene.shape, state.pose) if self.face else math.nan
-        frame["/frames/quality/expected_force_error"] = expected_force_error(self.scene.edge, width)
-        if self.scene.duration is not None:
-            frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()
-        return frame
-
-    def append(self, frame: Datasets) -> None:
-        """Record a frame."""
-        with self.clock.stage("bundle"):
-            self.writer.append(frame)
+        with self.clock.stage("fields"):
+            frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before, held), self.clock))
+            self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
+            frame["/frames/segment"] = self.scene.segment[state.index]
+            width = self.face.width(self.scene.shape, state.pose) if self.face else math.nan
+            frame["/frames/quality/expected_force_error"] = expected_force_error(self.scene.edge, width)
+            if self.scene.duration is not None:
+                frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()
+            return frame
 
 
 def _made(
     row: Row, path: Path, on_event: OnEvent | None, clock: Clock, solution: SolvedScene | None = None
-) -> SceneResult:
-    """Everything between a row of the plan and its bundles, the first of which is `path`."""
+) -> tuple[Literal["ok", "rejected"], str, int, tuple[bundle.Bundle, ...]]:
+    """Everything between a row of the plan and its bundles, the first of which is `path`: their status, why they have
+    not all frames, how many frames they have, and the bundles."""
     gels, frames = _gels(row, clock, solution)
     status: Literal["ok", "rejected"] = "ok"
     reason, done = "", 0
@@ -318,7 +334,7 @@ def _made(
                     raise mechanics.NotConverged(mechanics.Failure.folds)
                 labelled = [recorder.labelled(*each) for recorder, each in zip(recorders, found, strict=True)]
                 for recorder, frame in zip(recorders, labelled, strict=True):
-                    recorder.append(frame)
+                    recorder.writer.append(frame)
             except (mechanics.NotConverged, Rejected) as error:
                 folded = isinstance(error, mechanics.NotConverged) and error.failure is mechanics.Failure.folds
                 status, before = ("ok", "ends before ") if folded and done else ("rejected", "")
@@ -327,13 +343,7 @@ def _made(
             done += 1
             if on_event:
                 on_event({"event": "frame", "scene": row.name, "frame": done, "frames": row.frames})
-        with clock.stage("bundle"):
-            for recorder in recorders:
-                recorder.finish(status, reason)
-    seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
-    timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
-    atomic_file.write(path.with_suffix(".timing.json"), timing.encode())
-    return SceneResult(row.name, path, status, reason, done, seconds)
+        return status, reason, done, tuple(recorder.finish(status, reason) for recorder in recorders)
 
 
 def _camera(row: Row) -> str:

@@ -43,7 +43,7 @@ def batch(monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], None]:
 
     def stand_in(run: Batch) -> None:
         monkeypatch.setattr(tacgen.batch, "run", run)
-        monkeypatch.setattr(dataset_card, "write", lambda folder: folder)
+        monkeypatch.setattr(dataset_card, "write", lambda folder, known: folder)
 
     return stand_in
 

@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import time
 import weakref
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ from helpers.load_steps import watched
 from scipy.ndimage import map_coordinates
 
 from tacgen import mechanics, outputs, pipeline
-from tacgen.bundle import bundle
+from tacgen.bundle import bundle, journal, run_status
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.mechanics import cost_note, mesh
@@ -28,6 +30,7 @@ from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.row import NOISE
+from tacgen.report import dataset_card
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
@@ -332,15 +335,51 @@ def test_forces_on_coarse_meshes_are_within_the_notes_bounds(
     assert bound / 2 < error < bound
 
 
+def test_the_stages_of_a_scene_account_for_all_its_time(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that goes on by 1 s each time it is read."""
+    read = count()
+    monkeypatch.setattr(pipeline.Clock, "now", staticmethod(lambda: float(next(read))))
+    clock = pipeline.Clock()
+    with clock.stage("outer"):
+        for _ in range(2):
+            with clock.stage("inner"):
+                pass
+    assert clock.seconds == {"inner": 2.0, "outer": 3.0}
+    begin = next(read)
+    (row,) = plan.load(recipe, ["quality.edge_mm=1.2", "outputs=[force]"]).rows
+    seconds = pipeline.run_scene(row, tmp_path).seconds
+    assert sum(seconds.values()) == pytest.approx(next(read) - begin - 3, abs=1e-3)  # before, between and after stages
+    assert seconds.keys() >= {"start", "mesh", "solve", "fields", "bundle"}
+
+
+def test_a_result_holds_its_bundle_which_the_card_need_not_open(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, out = plan.load(recipe, ["quality.edge_mm=1.2", "outputs=[force]"]), tmp_path / "out"
+    out.mkdir()
+    journal.write_plan(made, out, None)
+    for _ in ("made", "kept"):
+        (done,) = pipeline.run(made.rows, out)
+        assert done.bundles == (bundle.read(done.path),)
+    (back,) = pickle.loads(pickle.dumps(done.bundles))
+    assert back == done.bundles[0]
+    assert back.attrs["sensor_document"] is done.bundles[0].attrs["sensor_document"]  # 4 kB that many scenes share
+    card = dataset_card.write(out).read_text()
+    monkeypatch.setattr(run_status, "read", lambda path: pytest.fail("opened again"))
+    assert dataset_card.write(out, [back]).read_text() == card
+
+
 def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> None:
     flat = scene_of_row.build(plan.load(assets.recipe_path("quickstart"), FLAT).rows[0])
     said = r"contact has about 4500 unknowns, since 538 mm\^2 of the face .* 0.6 mm: a frame takes about \d\d s"
-    assert re.match(said, cost_note.cost_note(flat))
+    assert re.match(said, cost_note.cost_note(flat, len(mesh.of(flat).facets["coated"])))
     way = "trajectory=[{press: {depth_mm: 1, frames: 1}}, {slide: {x_mm: 7, frames: 9}}]"
     sets = [way, "start.x_mm=-4", "quality={edge_mm: 0.2}"]
     ball = scene_of_row.build(plan.load(assets.recipe_path("quickstart"), sets).rows[0])
     assert 3 * len(mesh.touched(ball)) / mesh.FACE_STEPS**2 > cost_note.MANY_UNKNOWNS  # but not at once
-    assert not cost_note.cost_note(ball)
+    assert not cost_note.cost_note(ball, len(mesh.of(ball).facets["coated"]))
 
 
 def test_a_scene_without_contact_is_reported(recipe: Path, tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from importlib import import_module
 from importlib.metadata import version
 from itertools import cycle
 from multiprocessing import get_context
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 CHUNK = 2048  # scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
 EACH = 8  # processes at most that solve on one GPU: more of them have fewer scenes in a call
 MEMORY = 0.85  # part of a GPU's memory that they share
+PLANNERS, AT_ONCE = 8, 16  # processes at most that plan scenes, and scenes that one is given at a time
 LOOK_S = 0.1  # between looks for new solutions
 FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
@@ -52,16 +55,17 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
     """
     if scheduler:
         raise UserError(f"--scheduler {scheduler}: needs --engine dask")
-    devices = usable_devices()
-    count = solvers(workers, len(devices))
     with ExitStack() as stack:
         mapped: Mapped = map
-        if workers > 1:  # scenes are planned in processes too
-            mapped = stack.enter_context(ProcessPoolExecutor(workers, mp_context=get_context("spawn"))).map
-        solving: Executor = ThreadPoolExecutor(1)
-        if count > 1:
-            solving = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
-        solving, ahead = stack.enter_context(solving), stack.enter_context(ThreadPoolExecutor(1))
+        if workers > 1:  # scenes are planned in processes too, which start while PyTorch is imported here
+            planning = _started(stack, min(workers, PLANNERS), import_module, "tacgen.tensor_engine.planning")
+            mapped = partial(planning.map, chunksize=AT_ONCE)
+        devices = usable_devices()
+        count = solvers(workers, len(devices))
+        solving: Executor = stack.enter_context(ThreadPoolExecutor(1))
+        if count > 1:  # these import PyTorch while scenes are planned
+            solving = _started(stack, count, import_module, "tacgen.tensor_engine.pool")
+        ahead = stack.enter_context(ThreadPoolExecutor(1))
         pool = stack.enter_context(Pool(workers, limits, SOLVED if task == TASK else task))
 
         def run(
@@ -83,6 +87,14 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
                 solutions.close()
 
         yield run
+
+
+def _started(stack: ExitStack, count: int, first: Callable[..., object], *args: object) -> ProcessPoolExecutor:
+    """So many processes, which are started now and call a function first."""
+    pool = stack.enter_context(ProcessPoolExecutor(count, mp_context=get_context("spawn")))
+    for _ in range(count):
+        pool.submit(first, *args)
+    return pool
 
 
 class _Solutions:
@@ -134,7 +146,7 @@ class _Solutions:
         """Whether a row's solution is there, or none is needed."""
         if (now := time.monotonic()) > self._seen + LOOK_S:
             self._there, self._seen = {path.stem for path in (self._folder / FOLDER).glob("*.npz")}, now
-        return row.name not in self._places or self._places[row.name].stem in self._there
+        return row.name not in self._places or row.name in self._there
 
     def watch(self, event: dict[str, Any]) -> None:
         """Pass on an event and the notes before it; the solution of a scene that has ended is deleted."""
@@ -159,7 +171,7 @@ class _Solutions:
 
     def _clear(self) -> None:
         """Delete the solutions of these rows; other shards may still need theirs."""
-        for place in self._places.values():
+        for place in {*self._places.values()}.intersection((self._folder / FOLDER).glob("*.npz")):
             place.unlink(missing_ok=True)
         with suppress(OSError):  # not empty, or not there
             os.rmdir(self._folder / FOLDER)

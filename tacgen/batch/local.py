@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from itertools import islice
 from multiprocessing import connection
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from tacgen.batch.scene_order import WINDOW, SceneOrder
@@ -119,7 +120,7 @@ class Pool:
                 raise UserError(f"workers end before their first scene: {what}")
         elif worker.scenes_made >= self.limits.scenes:
             self.workers.remove(worker)
-            worker.stop(patience=5.0)
+            Thread(target=worker.stop, args=(5.0,)).start()  # its process takes a while to end
 
 
 def compiler_of(row: Row, folder: Path) -> Worker | None:

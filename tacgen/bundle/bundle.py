@@ -10,7 +10,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from errno import EIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -106,7 +106,7 @@ class Writer:
                 self._write(path, value, self.frames)
         self.appended += 1
 
-    def finish(self, status: str = "ok", reason: str = "", notes: Sequence[str] = ()) -> None:
+    def finish(self, status: str = "ok", reason: str = "", notes: Sequence[str] = ()) -> "Bundle":
         """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end.
 
         A scene that ends early has a reason, whether it is ok or rejected.
@@ -122,15 +122,18 @@ class Writer:
         with self._sink.guard():
             for path, column in self._columns.items():
                 column.finish()
-                checksums[path] = Dataset.of(column.data, column.hash.hexdigest())
+                described = column.data.dtype.str, column.data.shape, attributes(path)  # as `verify` finds them
+                checksums[path] = Dataset(*described, column.hash.hexdigest())
             self._file.attrs.update({**late, "digest": _digest(self._attrs, checksums), "complete": True})
             self._file.close()
         try:
-            read(self._sink.path, part=True).verify(lambda path, data: self._columns[path].stored(data))
+            bundle = read(self._sink.path, part=True)
+            bundle.verify(lambda path, data: self._columns[path].stored(data))
         except UserError as error:
             raise OSError(EIO, "what was written does not read back", str(self.path)) from error
         self._sink.publish()
         self._finished = True
+        return replace(bundle, path=self.path)
 
     def _cast(self, path: str, array: np.ndarray, *, per_frame: bool) -> np.ndarray:
         row = entry(path)
@@ -138,8 +141,9 @@ class Writer:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
         values = rounded(path, np.asarray(array).astype(row.dtype, order="C", casting="same_kind", copy=False))
         self._sizes.pop("N", None)
+        known = path in self._columns and self._columns[path].shape == values.shape
         shape = (self.appended + 1, *values.shape) if per_frame else values.shape
-        if problem := shape_problem(path, shape, self._sizes):
+        if not known and (problem := shape_problem(path, shape, self._sizes)):
             raise ValueError(problem)
         return values
 
@@ -162,6 +166,11 @@ class Bundle:
         from tacgen.bundle.caption import line
 
         return f"Bundle({line(self)})"
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """From another process, with shared strings as from a file."""
+        state["attrs"] = {sys.intern(name): _shared(value) for name, value in state["attrs"].items()}
+        self.__dict__.update(state)
 
     def __contains__(self, path: str) -> bool:
         return path in self.shapes

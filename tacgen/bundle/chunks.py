@@ -37,7 +37,7 @@ class Column:
     """
 
     def __init__(self, group: Any, path: str, first: Array, frames: int | None, attrs: dict[str, str]) -> None:
-        self.hash, self.length = hashlib.sha256(), 0
+        self.hash, self.length, self.shape = hashlib.sha256(), 0, first.shape
         self._sums: dict[tuple[int, ...], int] = {}  # offset of each chunk -> CRC-32 of its stored bytes
         self._waiting: list[Array] = []
         self._parts = first.shape[-1] if first.ndim == 3 and first.dtype.kind == "f" else 1
@@ -47,6 +47,7 @@ class Column:
             self._rows = max(1, min(frames, SMALL // max(1, first.nbytes)))
             shape, chunk = (frames, *shape), (self._rows, *chunk)
         sizes = {"chunks": tuple(max(1, n) for n in chunk), "maxshape": tuple(n or None for n in shape)}
+        self._ndim = len(shape)
         filters = {"compression": "gzip", "compression_opts": LEVEL, "shuffle": True}
         self.data = group.create_dataset(path, shape, first.dtype, track_times=False, **sizes, **filters)
         self.data.attrs.update(attrs)
@@ -84,7 +85,7 @@ class Column:
         if not block.size:
             return
         for part, stream in enumerate(_packed(block, self._parts)):
-            begin = [0] * self.data.ndim
+            begin = [0] * self._ndim
             begin[0] = (self.length - 1) // max(1, self._rows) * self._rows
             begin[-1] += part
             self.data.id.write_direct_chunk(tuple(begin), stream)

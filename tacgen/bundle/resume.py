@@ -18,7 +18,8 @@ SHOWN = 3  # differing inputs that a message names
 
 @dataclass(frozen=True)
 class SceneResult:
-    """The outcome of a scene. `seconds` by stage is empty if the bundle existed before."""
+    """The outcome of a scene. `seconds` by stage is empty if the bundle existed before; `bundles` are those that are
+    there, opened, unless its maker does not say."""
 
     name: str
     path: Path
@@ -26,6 +27,7 @@ class SceneResult:
     reason: str
     frames: int
     seconds: dict[str, float] = field(default_factory=dict)
+    bundles: tuple[bundle.Bundle, ...] = field(default=(), repr=False, compare=False)
 
 
 def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwrite: bool = False) -> SceneResult:
@@ -42,13 +44,14 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
     with ExitStack() as claims:
         for path in paths:
             claims.enter_context(atomic_file.claim(path))
-        kept = [bundle.complete(path, each.key) for path, each in zip(paths, row.bundles, strict=True)]
+        found = [bundle.complete(path, each.key) for path, each in zip(paths, row.bundles, strict=True)]
         if overwrite:
-            kept = [one if one and one.attrs["tacgen_version"] == __version__ else None for one in kept]
-        if kept[0] and all(kept):
-            attrs = kept[0].attrs
-            return SceneResult(row.name, paths[0], attrs["status"], attrs["reason"], kept[0].frames)
-        for path, each, one in zip(paths, row.bundles, kept, strict=True):
+            found = [one if one and one.attrs["tacgen_version"] == __version__ else None for one in found]
+        kept = tuple(one for one in found if one)
+        if len(kept) == len(paths):
+            attrs, frames = kept[0].attrs, kept[0].frames
+            return SceneResult(row.name, paths[0], attrs["status"], attrs["reason"], frames, bundles=kept)
+        for path, each, one in zip(paths, row.bundles, found, strict=True):
             if path.exists() and not (one or overwrite):
                 _refuse(path, each)
         return make(paths[0])

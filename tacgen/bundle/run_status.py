@@ -1,7 +1,7 @@
 """Progress of a dataset's folder: the state of each planned scene, from its bundle or from the journal."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,8 +55,11 @@ def survey(folder: Path) -> Survey:
     return Survey(name, folder, tuple(scene for scene, _ in scenes))
 
 
-def opened(folder: Path) -> tuple[str, Iterator[tuple[SceneStatus, Bundle | None]]]:
-    """The plan's name, and each scene's state with its bundle, if that is ok or rejected; raises as `survey`."""
+def opened(folder: Path, known: Iterable[Bundle] = ()) -> tuple[str, Iterator[tuple[SceneStatus, Bundle | None]]]:
+    """The plan's name, and each scene's state with its bundle, if that is ok or rejected; raises as `survey`.
+
+    `known` bundles of the folder are not opened again.
+    """
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder")
     plan = read_plan(folder)
@@ -66,8 +69,10 @@ def opened(folder: Path) -> tuple[str, Iterator[tuple[SceneStatus, Bundle | None
     for event in read_journal(folder):
         if event.event == "scene":
             failures[event.scene] = event.reason if event.status == "failed" else ""
+    there = {bundle.path.stem: bundle for bundle in known}
     return plan.name, (
-        _scene(folder, row, failures.get(row.scene.partition("-L")[0].partition("-R")[0], "")) for row in plan.scenes
+        _scene(folder, row, failures.get(row.scene.partition("-L")[0].partition("-R")[0], ""), there.get(row.scene))
+        for row in plan.scenes
     )
 
 
@@ -77,7 +82,7 @@ class Timing(Stored):
     seconds: dict[str, NonNegativeFloat]
 
 
-def _scene(folder: Path, row: PlannedScene, failure: str) -> tuple[SceneStatus, Bundle | None]:
+def _scene(folder: Path, row: PlannedScene, failure: str, known: Bundle | None) -> tuple[SceneStatus, Bundle | None]:
     path = folder / f"{row.scene}.h5"
 
     def found(state: str, reason: str = "", frames: int = row.frames) -> SceneStatus:
@@ -87,7 +92,7 @@ def _scene(folder: Path, row: PlannedScene, failure: str) -> tuple[SceneStatus, 
         return found("at work"), None
     if path.exists():
         try:
-            bundle = read(path)
+            bundle = known or read(path)
         except UserError as error:
             return found("damaged", error.lines[0].removeprefix(f"{path}: ")), None
         if bundle.attrs["input_key"] != row.key:

@@ -104,11 +104,12 @@ def attributes(path: str) -> dict[str, str]:
 
 def finite_problem(path: str, values: np.ndarray) -> str | None:
     """Where values are inf, or nan that the layout does not allow, in the type in which they are stored; or None."""
-    row = entry(path)
-    if np.dtype(row.dtype).kind != "f":
+    row, values = entry(path), np.asarray(values)
+    if row.dtype[1] != "f":
         return None
-    with np.errstate(over="ignore"):
-        values = np.asarray(values).astype(row.dtype, copy=False)
+    if values.dtype != row.dtype:
+        with np.errstate(over="ignore"):
+            values = values.astype(row.dtype)
     bad = np.isinf(values) if row.nan else ~np.isfinite(values)
     return f"{path} is not finite at {tuple(np.argwhere(bad)[0].tolist())}" if bad.any() else None
 

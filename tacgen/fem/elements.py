@@ -18,7 +18,8 @@ GAUSS = {2: (GAUSS2, np.ones(2)), 3: (np.array([-1.0, 0, 1]) * np.sqrt(0.6), np.
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 TET4 = (5 - np.sqrt(5.0)) / 20  # the smaller barycentric coordinate of the 4-point rule of degree 2 for tets
-POINTWISE = 25.0  # Elements.pointwise of quadratic tets [-]: inf was 2.7 % too stiff at nu 0.4995, 0 was 2.6 % too soft
+# Elements.pointwise [-] by nodes; of quadratic tets inf was 2.7 % too stiff at nu 0.4995, 0 was 2.6 % too soft
+POINTWISE = {8: 0.0, 10: 25.0, 4: np.inf}
 # the smaller barycentric coordinate and the weight of each orbit of three points, by nodes of the triangle
 DUNAVANT = {
     3: ((1 / 6, 1 / 3),),
@@ -43,15 +44,29 @@ class Elements:
     shape: Array
 
 
-def hexes(points: Array, conn: Array) -> Elements:
-    """Trilinear hexes with 2x2x2 points and mean dilatation, Nagtegaal, Parks & Rice (1974).
+def elements(points: Array, conn: Array) -> Elements:
+    """The elements of the type that has as many nodes as conn (e, a).
+
+    8: trilinear hexes with 2x2x2 points and mean dilatation, Nagtegaal, Parks & Rice (1974). 10: quadratic tetrahedra
+    with 4 points; nodes as in VTK: corners, then edge nodes in the order of TET_EDGES, which need not be at the edges'
+    midpoints. 4: linear tetrahedra with 1 point, which lock.
 
     Raises:
         ValueError: an element is inverted.
     """
-    N, dN = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
+    N, dN, parts = integration(nodes := conn.shape[1])
     gradients, volume = _mapped(points, conn, dN)
-    return Elements(conn.astype(np.int32), gradients, volume, 0.0, N)
+    return Elements(conn.astype(np.int32), gradients, volume / parts, POINTWISE[nodes], N)
+
+
+def integration(nodes: int) -> tuple[Array, Array, int]:
+    """Integration points of elements of so many nodes: N (q, a), its derivatives (q, a, 3) in the reference element,
+    and the number of equal parts into which these points divide a cube of side 1."""
+    if nodes == 8:
+        return *trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2])), 1
+    L = np.full((1, 4), 0.25) if nodes == 4 else np.full((4, 4), TET4) + np.eye(4) * (1 - 4 * TET4)
+    N, dL = barycentric(L, nodes)
+    return N, dL[..., 1:] - dL[..., :1], 6 * len(L)
 
 
 def trilinear(at: Array) -> tuple[Array, Array]:
@@ -60,13 +75,20 @@ def trilinear(at: Array) -> tuple[Array, Array]:
     return f.prod(2) / 8, np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
 
 
+def jacobians(points: Array, conn: Array, dN: Array) -> Array:
+    """dX/dxi (e, q, 3, 3) of elements conn (e, a) at points with the derivatives dN (q, a, 3)."""
+    x = np.ascontiguousarray(np.moveaxis(points[conn], 0, -1))  # elements last: the longest axis in the inner loop
+    return np.ascontiguousarray(np.moveaxis(np.einsum("qaj,aie->qije", dN, x), -1, 0))
+
+
 def _mapped(points: Array, conn: Array, dN: Array) -> tuple[Array, Array]:
     """dN/dX (e, q, a, 3) and det(dX/dxi) (e, q) of elements; dN (q, a, 3). Raises ValueError: an inverted element."""
-    jacobian = np.einsum("qaj,eai->eqij", dN, points[conn])
+    jacobian = jacobians(points, conn, dN)
     volume = np.linalg.det(jacobian)
     if (volume <= 0).any():
         raise ValueError(f"{int((volume <= 0).any(1).sum())} elements are inverted")
-    return np.ascontiguousarray(np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))), volume
+    inverse = np.ascontiguousarray(np.moveaxis(np.linalg.inv(jacobian), 0, -1))
+    return np.ascontiguousarray(np.moveaxis(np.einsum("qaj,qjIe->qaIe", dN, inverse), -1, 0)), volume
 
 
 def boxes(number: Array) -> Array:
@@ -91,21 +113,6 @@ def barycentric(L: Array, corners: int) -> tuple[Array, Array]:
     for k, (a, b) in enumerate(edges):
         dN[:, L.shape[1] + k, a], dN[:, L.shape[1] + k, b] = 4 * L[:, b], 4 * L[:, a]
     return np.concatenate([L * (2 * L - 1), 4 * L[:, i] * L[:, j]], 1), dN
-
-
-def tets(points: Array, conn: Array) -> Elements:
-    """Tetrahedra: quadratic with 10 nodes and 4 points; or linear with 4 nodes and 1 point, which lock.
-
-    Nodes as in VTK: corners, then edge nodes in the order of TET_EDGES, which need not be at the edges' midpoints.
-
-    Raises:
-        ValueError: an element is inverted.
-    """
-    linear = conn.shape[1] == 4
-    L = np.full((1, 4), 0.25) if linear else np.full((4, 4), TET4) + np.eye(4) * (1 - 4 * TET4)
-    N, dL = barycentric(L, conn.shape[1])
-    gradients, volume = _mapped(points, conn, dL[..., 1:] - dL[..., :1])
-    return Elements(conn.astype(np.int32), gradients, volume / 6 / len(L), np.inf if linear else POINTWISE, N)
 
 
 def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:
@@ -136,14 +143,6 @@ def dense_points(points: Array, elements: Elements) -> Elements:
     gradients, _ = _mapped(points, elements.conn, dN)
     weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)
     return Elements(elements.conn, gradients, weights, np.inf, N)
-
-
-KINDS = {8: hexes, 10: tets, 4: tets}  # by the number of nodes
-
-
-def elements(points: Array, conn: Array) -> Elements:
-    """The elements of the type that has as many nodes as conn (e, a)."""
-    return KINDS[conn.shape[1]](points, conn)
 
 
 def facet_points(nodes: int, along: int = 2) -> tuple[Array, Array, Array]:

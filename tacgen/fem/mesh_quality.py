@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from tacgen.fem.elements import TET_EDGES, elements, grid_points
+from tacgen.fem.elements import TET_EDGES, grid_points, integration, jacobians
 
 Array = np.ndarray
 # the three neighbours of each corner along edges, right-handed
@@ -45,25 +45,26 @@ def scaled_jacobian(points: Array, cells: Array) -> Array:
     For a quadratic tet the volume is that of its curved map at the worst node: 0 where an edge node inverts it.
     """
     ends = HEX_ENDS if cells.shape[1] == 8 else TET_ENDS
-    x = points[cells[:, : len(ends)]]
-    sides = x[:, ends] - x[:, : len(ends), None]
-    length = np.linalg.norm(sides, axis=-1).prod(-1)
+    x = np.ascontiguousarray(np.moveaxis(points[cells[:, : len(ends)]], 0, -1))  # cells last: the longest loop
+    sides = [x[ends[:, k]] - x for k in range(3)]  # each (corners, 3, e)
+    length = np.maximum(np.prod([np.sqrt((side**2).sum(1)) for side in sides], axis=0), 1e-300)
     if len(ends) == 8:
-        return np.asarray((np.linalg.det(sides) / np.maximum(length, 1e-300)).min(1))
-    return np.asarray(np.sqrt(2) * nodal_volume(points, cells).min(1) / np.maximum(length.max(1), 1e-300))
+        return np.asarray(((sides[0] * np.cross(sides[1], sides[2], axis=1)).sum(1) / length).min(0))
+    return np.asarray(np.sqrt(2) * nodal_volume(points, cells).min(1) / length.max(0))
 
 
 def nodal_volume(points: Array, tets: Array) -> Array:
     """Determinant of the map from the reference tet at each node (e, a) [mm^3]; for a straight tet six times its
     volume. The map of a curved tet is invertible at nodes where it is positive."""
     _, dN = grid_points(tets.shape[1])
-    return np.asarray(np.linalg.det(np.einsum("qaj,eai->eqij", dN, points[tets])))
+    return np.asarray(np.linalg.det(jacobians(points, tets, dN)))
 
 
 def measure(points: Array, cells: Array, volume: float) -> MeshQuality:
     """The quality of a mesh whose volume should be `volume` [mm^3]."""
     angle = None if cells.shape[1] == 8 else float(np.degrees(dihedral(points, cells).min()))
-    meshed = float(elements(points, cells).weights.sum())
+    _, dN, parts = integration(cells.shape[1])
+    meshed = float((np.linalg.det(jacobians(points, cells, dN)) / parts).sum())
     least = float(scaled_jacobian(points, cells).min())
     return MeshQuality(len(points), len(cells), angle, least, meshed / volume - 1)
 

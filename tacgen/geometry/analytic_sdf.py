@@ -9,6 +9,7 @@ follow in the same way for all shapes:
 Inside a core d decreases linearly, so that a gel that overlaps it at the start is pushed out.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -17,6 +18,7 @@ import numpy as np
 
 Array = np.ndarray
 DOWN = np.array([0.0, 0.0, -1.0])
+MAX_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
 
 
 class Shape(Protocol):
@@ -32,6 +34,9 @@ class Shape(Protocol):
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""
+
+    def value(self, p: Array) -> Array:
+        """Signed distance [mm] (n,) alone, in an eighth of the time."""
 
     def support(self, direction: Array) -> float:
         """Support function: extent along a unit vector (3,) [mm]; inf where the shape is infinite."""
@@ -55,15 +60,16 @@ class Triangles:
 
 
 class Core(NamedTuple):
-    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and direction out of it (n, 3).
+    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and direction out of it (n, 3);
+    functions give what the distance alone does not need.
 
     A core that is a point or a line has no interior: on it the direction out is down.
     """
 
     closest: Array
-    jacobian: Array
+    jacobian: Callable[[], Array]
     depth: Array | float = 0.0
-    out: Array = DOWN
+    out: Callable[[], Array] = lambda: DOWN
 
 
 def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
@@ -78,18 +84,37 @@ def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
     return np.array([flat[0], flat[1], -support(down)])
 
 
-def _grown(p: Array, core: Core, radius: float) -> tuple[Array, Array, Array]:
-    """Distance, gradient and Hessian (see Shape.distance) of a core offset by a radius [mm]."""
-    v = p - core.closest
-    length = np.linalg.norm(v, axis=1)
-    inside = (core.depth > 0) | (length < 1e-12)
-    safe = np.where(inside, 1.0, length)
-    n = np.where(inside[:, None], core.out, v / safe[:, None])
-    H = np.einsum("ni,nj->nij", -n, n)  # in place from here on: twice as fast as with an array for each operation
-    H += np.eye(3) - core.jacobian
-    H /= safe[:, None, None]
-    H[inside] = 0.0
-    return np.where(inside, -core.depth, length) - radius, n, H
+class Grown(ABC):
+    """A core offset outward by `smallest_radius`; see Shape."""
+
+    @property
+    @abstractmethod
+    def smallest_radius(self) -> float: ...
+
+    @abstractmethod
+    def core(self, p: Array) -> Core:
+        """The core as seen from points p (n, 3)."""
+
+    def value(self, p: Array) -> Array:
+        return self._seen(p)[0]
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        d, core, v, length, inside = self._seen(p)
+        safe = np.where(inside, 1.0, length)
+        n = np.where(inside[:, None], core.out(), v / safe[:, None])
+        H = np.einsum("ni,nj->nij", -n, n)  # in place from here on: twice as fast as with an array for each operation
+        H += np.eye(3) - core.jacobian()
+        H /= safe[:, None, None]
+        H[inside] = 0.0
+        return d, n, H
+
+    def _seen(self, p: Array) -> tuple[Array, Core, Array, Array, Array]:
+        """Signed distance (n,) and core; way from the core (n, 3), its length (n,), and whether a point is inside."""
+        core = self.core(p)
+        v = p - core.closest
+        length = np.linalg.norm(v, axis=1)
+        inside = (core.depth > 0) | (length < 1e-12)
+        return np.where(inside, -core.depth, length) - self.smallest_radius, core, v, length, inside
 
 
 def _polar(p: Array) -> tuple[Array, Array, Array]:
@@ -110,15 +135,19 @@ def _diagonal(entries: Array) -> Array:
     return np.asarray(entries[:, :, None] * np.eye(3))
 
 
-def _inside_box(inside_by: Array, normals: Array) -> tuple[Array, Array]:
-    """Depth (n,) and direction out (n, 3) from distances inside each face (n, k) and their normals (n, k, 3)."""
-    face = inside_by.argmin(1)
-    rows = np.arange(len(face))
-    return np.maximum(inside_by[rows, face], 0.0), normals[rows, face]
+def _nearest(inside_by: list[Array], normals: list[Array]) -> Array:
+    """Direction out (n, 3) from distances (n,) inside each face and the faces' normals (n, 3)."""
+    face = np.argmin(inside_by, axis=0)
+    return np.asarray(np.stack(normals)[face, np.arange(len(face))])
+
+
+def _depth(inside_by: list[Array]) -> Array:
+    """Depth (n,) from distances (n,) inside each face."""
+    return np.asarray(np.maximum(np.min(inside_by, axis=0), 0.0))
 
 
 @dataclass(frozen=True)
-class SphereSdf:
+class SphereSdf(Grown):
     """A ball."""
 
     radius: float  # [mm]
@@ -134,13 +163,13 @@ class SphereSdf:
     def support(self, direction: Array) -> float:
         return self.radius * (1 + float(direction[2]))
 
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+    def core(self, p: Array) -> Core:
         centre = np.array([0.0, 0.0, self.radius])
-        return _grown(p, Core(centre, np.zeros((3, 3))), self.radius)
+        return Core(centre, lambda: np.zeros((3, 3)))
 
 
 @dataclass(frozen=True)
-class CapsuleSdf:
+class CapsuleSdf(Grown):
     """A capsule along x; `length` is between the centres of its two hemispheres."""
 
     radius: float  # [mm]
@@ -157,17 +186,15 @@ class CapsuleSdf:
     def support(self, direction: Array) -> float:
         return self.radius * (1 + float(direction[2])) + self.length / 2 * abs(float(direction[0]))
 
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+    def core(self, p: Array) -> Core:
         half = self.length / 2
         along = np.clip(p[:, 0], -half, half)
         c = np.stack([along, np.zeros_like(along), np.full_like(along, self.radius)], 1)
-        jac = np.zeros((len(p), 3, 3))
-        jac[:, 0, 0] = np.abs(p[:, 0]) < half
-        return _grown(p, Core(c, jac), self.radius)
+        return Core(c, lambda: _diagonal((np.abs(p[:, :1]) < half) * [1.0, 0.0, 0.0]))
 
 
 @dataclass(frozen=True)
-class TorusSdf:
+class TorusSdf(Grown):
     """A flat ring; `radius` is that of its centre line."""
 
     radius: float  # [mm]
@@ -184,16 +211,15 @@ class TorusSdf:
     def support(self, direction: Array) -> float:
         return self.tube_radius * (1 + float(direction[2])) + self.radius * float(np.hypot(*direction[:2]))
 
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+    def core(self, p: Array) -> Core:
         rho, radial, azimuth = _polar(p)
         c = self.radius * radial
         c[:, 2] = self.tube_radius
-        jac = _outer(azimuth) * (self.radius / np.maximum(rho, 1e-12))[:, None, None]
-        return _grown(p, Core(c, jac), self.tube_radius)
+        return Core(c, lambda: _outer(azimuth) * (self.radius / np.maximum(rho, 1e-12))[:, None, None])
 
 
 @dataclass(frozen=True)
-class CylinderSdf:
+class CylinderSdf(Grown):
     """A flat cylindrical punch along z; its lower edge has the radius `fillet`."""
 
     radius: float  # [mm]
@@ -212,22 +238,25 @@ class CylinderSdf:
             return np.inf
         return self.fillet * (1 + float(direction[2])) + (self.radius - self.fillet) * float(np.hypot(*direction[:2]))
 
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+    def core(self, p: Array) -> Core:
         rho, radial, azimuth = _polar(p)
         rim, low = self.radius - self.fillet, self.fillet
         c_rho, c_z = np.minimum(rho, rim), np.maximum(p[:, 2], low)
         c = c_rho[:, None] * radial
         c[:, 2] = c_z
-        jac = _outer(azimuth) * np.where(rho > rim, rim / np.maximum(rho, 1e-12), 1.0)[:, None, None]
-        jac += _outer(radial) * (rho < rim)[:, None, None]
-        jac[:, 2, 2] += p[:, 2] > low
-        down = np.broadcast_to(DOWN, p.shape)
-        depth, out = _inside_box(np.stack([p[:, 2] - low, rim - rho], 1), np.stack([down, radial], 1))
-        return _grown(p, Core(c, jac, depth, out), self.fillet)
+
+        def jacobian() -> Array:
+            jac = _outer(azimuth) * np.where(rho > rim, rim / np.maximum(rho, 1e-12), 1.0)[:, None, None]
+            jac += _outer(radial) * (rho < rim)[:, None, None]
+            jac[:, 2, 2] += p[:, 2] > low
+            return jac
+
+        by = [p[:, 2] - low, rim - rho]
+        return Core(c, jacobian, _depth(by), lambda: _nearest(by, [np.broadcast_to(DOWN, p.shape), radial]))
 
 
 @dataclass(frozen=True)
-class BoxSdf:
+class BoxSdf(Grown):
     """A rectangular punch with sides along x and y; all edges have the radius `fillet`."""
 
     size_x: float  # [mm]
@@ -248,21 +277,20 @@ class BoxSdf:
         half = np.array([self.size_x, self.size_y]) / 2 - self.fillet
         return self.fillet * (1 + float(direction[2])) + float(half @ np.abs(direction[:2]))
 
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+    def core(self, p: Array) -> Core:
         half = np.array([self.size_x, self.size_y]) / 2 - self.fillet
         c = np.stack([*np.clip(p[:, :2], -half, half).T, np.maximum(p[:, 2], self.fillet)], 1)
-        jac = _diagonal((c == p).astype(float))
-        side = half - np.abs(p[:, :2])
-        sign = np.where(p[:, :2] >= 0, 1.0, -1.0)
-        down = np.broadcast_to(DOWN, p.shape)
-        x_out, y_out = (np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))
-        offsets = np.stack([p[:, 2] - self.fillet, side[:, 0], side[:, 1]], 1)
-        depth, out = _inside_box(offsets, np.stack([down, x_out, y_out], 1))
-        return _grown(p, Core(c, jac, depth, out), self.fillet)
+        by = [p[:, 2] - self.fillet, *(half - np.abs(p[:, :2])).T]
+
+        def out() -> Array:
+            sign = np.where(p[:, :2] >= 0, 1.0, -1.0)
+            return _nearest(by, [np.broadcast_to(DOWN, p.shape), *(np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))])
+
+        return Core(c, lambda: _diagonal((c == p).astype(float)), _depth(by), out)
 
 
 @dataclass(frozen=True)
-class ConeSdf:
+class ConeSdf(Grown):
     """Tip down, rounded by `tip_radius`; `half_angle` [rad] is from the axis."""
 
     half_angle: float
@@ -280,7 +308,7 @@ class ConeSdf:
         flank = np.hypot(*direction[:2]) * np.sin(self.half_angle) + direction[2] * np.cos(self.half_angle)
         return np.inf if flank > 1e-12 else self.tip_radius * (1 + float(direction[2]))
 
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+    def core(self, p: Array) -> Core:
         rho, radial, azimuth = _polar(p)
         s, c = np.sin(self.half_angle), np.cos(self.half_angle)
         z = p[:, 2] - self.tip_radius
@@ -290,15 +318,20 @@ class ConeSdf:
         inside = (along > 0) & (outward < 0)
         closest = (along * s)[:, None] * radial
         closest[:, 2] = along * c + self.tip_radius
-        generator = radial * s + np.array([0.0, 0.0, c])
-        jac = side * (_outer(generator) + _outer(azimuth) * (along * s / np.maximum(rho, 1e-12))[:, None, None])
-        normal = radial * c - np.array([0.0, 0.0, s])
-        normal = np.where(side[:, :, 0], normal, DOWN)
-        return _grown(p, Core(closest, jac, np.where(inside, -outward, 0.0), normal), self.tip_radius)
+
+        def jacobian() -> Array:
+            generator = radial * s + np.array([0.0, 0.0, c])
+            turning = (along * s / np.maximum(rho, 1e-12))[:, None, None]
+            return np.asarray(side * (_outer(generator) + _outer(azimuth) * turning))
+
+        def out() -> Array:
+            return np.where(side[:, :, 0], radial * c - np.array([0.0, 0.0, s]), DOWN)
+
+        return Core(closest, jacobian, np.where(inside, -outward, 0.0), out)
 
 
 @dataclass(frozen=True)
-class WedgeSdf:
+class WedgeSdf(Grown):
     """An edge along y, rounded by `tip_radius`; `half_angle` [rad] is from the z axis; `length` includes the ends."""
 
     half_angle: float
@@ -318,7 +351,7 @@ class WedgeSdf:
         along = (self.length / 2 - self.tip_radius) * abs(float(direction[1]))
         return np.inf if flank > 1e-12 else self.tip_radius * (1 + float(direction[2])) + along
 
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+    def core(self, p: Array) -> Core:
         s, c = np.sin(self.half_angle), np.cos(self.half_angle)
         sign = np.where(p[:, 0] >= 0, 1.0, -1.0)
         z = p[:, 2] - self.tip_radius
@@ -330,12 +363,17 @@ class WedgeSdf:
         closest = np.stack([sign * along * s, y, along * c + self.tip_radius], 1)
         closest[within, 0], closest[within, 2] = p[within, 0], p[within, 2]
         zero = np.zeros_like(sign)
-        generator = np.stack([sign * s, zero, np.full_like(sign, c)], 1)
-        jac = (along > 0)[:, None, None] * _outer(generator)
-        jac[within] = np.diag([1.0, 0.0, 1.0])
-        jac[:, 1, 1] += np.abs(p[:, 1]) < half
-        side_out = np.stack([sign * c, zero, np.full_like(sign, -s)], 1)
-        end_out = np.stack([zero, np.where(p[:, 1] >= 0, 1.0, -1.0), zero], 1)
-        offsets = np.stack([np.where(along > 0, -outward, -1.0), half - np.abs(p[:, 1])], 1)
-        depth, out = _inside_box(offsets, np.stack([side_out, end_out], 1))
-        return _grown(p, Core(closest, jac, depth, out), self.tip_radius)
+
+        def jacobian() -> Array:
+            jac = (along > 0)[:, None, None] * _outer(np.stack([sign * s, zero, np.full_like(sign, c)], 1))
+            jac[within] = np.diag([1.0, 0.0, 1.0])
+            jac[:, 1, 1] += np.abs(p[:, 1]) < half
+            return np.asarray(jac)
+
+        by = [np.where(along > 0, -outward, -1.0), half - np.abs(p[:, 1])]
+
+        def out() -> Array:
+            end = np.stack([zero, np.where(p[:, 1] >= 0, 1.0, -1.0), zero], 1)
+            return _nearest(by, [np.stack([sign * c, zero, np.full_like(sign, -s)], 1), end])
+
+        return Core(closest, jacobian, _depth(by), out)

@@ -149,6 +149,10 @@ class Field:
         _evaluate(np.ascontiguousarray(p, float), self.coefficients, self.origin, self.cell, d, g, H)
         return d, g, H
 
+    def value(self, p: Array) -> Array:
+        """The signed distance (n,) alone."""
+        return self.distance(p)[0]
+
     def support(self, direction: Array) -> float:
         """Support function of the body's convex hull along a unit vector (3,) [mm]."""
         return float((self.corners @ direction).max())

@@ -35,8 +35,8 @@ def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> T
     for _ in range(MAX_ROUNDS):
         vertices = _projected(shape, vertices)
         edges, sides = _edges(triangles)
-        off = np.abs(shape.distance(vertices[edges].mean(1))[0]) > tolerance
-        bulging = np.abs(shape.distance(vertices[triangles].mean(1))[0]) > tolerance
+        off = np.abs(shape.value(vertices[edges].mean(1))) > tolerance
+        bulging = np.abs(shape.value(vertices[triangles].mean(1))) > tolerance
         off[_longest(vertices, edges, sides)[bulging]] = True
         if not off.any():
             break
@@ -65,7 +65,7 @@ def _surface_nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[A
     """Surface nets: a vertex in each cell that the surface crosses, a quad around each grid edge that it cuts."""
     count = np.ceil((high - low) / cell).astype(int) + 1
     nodes = low + cell * np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), -1)
-    d = shape.distance(nodes.reshape(-1, 3))[0].reshape(count)
+    d = shape.value(nodes.reshape(-1, 3)).reshape(count)
     cells = tuple(count - 1)
     total, crossings = np.zeros((*cells, 3)), np.zeros(cells, int)
     quads = []

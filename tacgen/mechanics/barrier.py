@@ -151,6 +151,10 @@ class Contact:
         fq = at.shape[:2]
         return d.reshape(fq) + self.offset, (n @ R.T).reshape(*fq, 3), (R @ H @ R.T).reshape(*fq, 3, 3)
 
+    def gap(self, at: Array) -> Array:
+        """Gap to the shrunk indenter (f, q) [mm] alone, at points (f, q, 3)."""
+        return self.shape.value(self.pose.local(at).reshape(-1, 3)).reshape(at.shape[:2]) + self.offset
+
     def pressure(self, x: Array) -> tuple[Array, Array, Array]:
         """Force of each quadrature point on the indenter (f, q) [N], normals (f, q, 3) and gaps (f, q) [mm]."""
         d, n, _ = self.gaps(x)
@@ -165,7 +169,7 @@ class Contact:
 
     def least(self, x: Array) -> float:
         """Smallest gap to the shrunk indenter [mm]."""
-        return float(self.gaps(x)[0].min())
+        return float(self.gap(self.faces.at(x)).min())
 
     def max_step(self, gap: Array, p: Array) -> float:
         """Largest part of step p (n, 3) without tunnelling, from gaps (f, q) [mm]. Distance is 1-Lipschitz: a point

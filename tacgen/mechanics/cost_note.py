@@ -28,9 +28,11 @@ def resolution_note(radius: float, edge: float, thickness: float, formulation: s
     )
 
 
-def cost_note(built: Scene) -> str:
+def cost_note(built: Scene, facets: int) -> str:
     """A note where much of the face is in contact at once, or ""; the contact's unknowns are solved for as one dense
-    system. At most LOOKS of the frames are looked at."""
+    system. At most LOOKS of the frames are looked at, none if the whole face has too few `facets`."""
+    if built.element == "hex" and 3 * facets < MANY_UNKNOWNS:
+        return ""
 
     def area(at: Scene) -> float:
         return len(mesh.touched(at)) * (at.edge / mesh.FACE_STEPS) ** 2

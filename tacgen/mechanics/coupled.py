@@ -183,7 +183,7 @@ class CoupledContact:
     def merit(self, x: Array, frozen: ContactForces) -> float:
         """Energy [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
         c, at = self.contact, self.contact.faces.at(x)
-        energy = float((c.kappa * c.faces.areas * barrier(c.gaps_at(at)[0], c.dhat)[0]).sum())
+        energy = float((c.kappa * c.faces.areas * barrier(c.gap(at), c.dhat)[0]).sum())
         if self.friction == 0:
             return energy
         f0 = smooth(np.linalg.norm(slip(at, self.anchor, frozen.normal), axis=-1), self.eps)[0]

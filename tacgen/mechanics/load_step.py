@@ -77,7 +77,8 @@ class LoadStep:
         """With anchors in the sensor frame; that of a new point is where it first touches on the predicted path."""
         history, contact, problem = self.history, self.contact, self.problem
         x = history.x if self.prediction is None else self.prediction.x
-        ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gaps(x)[0]
+        at = contact.faces.at(x)
+        ahead, gap_ahead = contact.pose.local(at), contact.gap(at)
         touch = onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
         anchor = contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
         coupled = CoupledContact(contact, problem.friction, anchor, problem.options.slip * contact.dhat)
@@ -135,7 +136,7 @@ def begin(problem: Problem, now: SolveState) -> Result:
     if not problem.condensed:
         return Outcome.not_condensed, now
     history, tangent, contact = now.history, problem.tangent, step.contact
-    conn, near = contact.faces.conn, contact.gaps(history.x)[0] < contact.dhat
+    conn, near = contact.faces.conn, contact.gap(contact.faces.at(history.x)) < contact.dhat
     touching = np.asarray((near | (history.normal_force > 0)).any(1))
     if not touching.any():
         return Outcome.apart, now

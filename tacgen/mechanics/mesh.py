@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -11,13 +11,13 @@ from tacgen import array_cache
 from tacgen.errors import UserError
 from tacgen.fem.elements import boxes
 from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
+from tacgen.geometry.analytic_sdf import MAX_SLOPE
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose, along, shortest_turn
 from tacgen.mechanics import tet_mesh
 from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
-MAX_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
 # nodes; and the edge asked of fTetWild over that of a hex [-], which returns edges 1.25 to 1.35 times as long
 TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
 MIN_ANGLE_DEG = 2.0  # smallest dihedral angle of a tet [deg]
@@ -229,19 +229,22 @@ def touched(scene: Scene) -> Array:
     _refuse_above(60 * MAX_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
     x, y = (np.linspace(-size / 2, size / 2, math.ceil(size / step) + 1) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    face = np.column_stack([grid, gel.top(*grid.T)])
+    z = gel.top(*grid.T)
+    face = np.column_stack([grid, z])
     hit = np.zeros(len(face), bool)
     poses = scene.poses
     if scene.forced is not None:
         poses = poses.copy()
         poses[:, 2, 3] -= scene.forced.allowance
-    before = Pose.of(scene.start).local(face)
+    corners = np.array(list(product(x[[0, -1]], y[[0, -1]], (z.min(), z.max()))))  # no point moves more than they do
+    before = Pose.of(scene.start).local(corners)
     bound = np.zeros(len(face))  # of the distance, from below: it is evaluated only where this is negative
     for matrix in _dense(scene.start, poses, scene.shape.reach):
-        local = Pose.of(matrix).local(face)
-        bound -= MAX_SLOPE * np.linalg.norm(local - before, axis=1)
+        pose = Pose.of(matrix)
+        local = pose.local(corners)
+        bound -= MAX_SLOPE * np.linalg.norm(local - before, axis=1).max()
         near = np.flatnonzero(~hit & (bound <= 0))
-        bound[near] = scene.shape.distance(local[near])[0]
+        bound[near] = scene.shape.value(pose.local(face[near]))
         hit[near[bound[near] < 0]] = True
         before = local
     if hit.any():
@@ -254,4 +257,4 @@ def _dense(start: Array, poses: Array, step: float) -> Iterator[Array]:
     """The poses (n, 4, 4), and more between them, at most `step` [mm] of translation apart."""
     for a, b in pairwise([start, *poses]):
         n = max(1, math.ceil(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) / step))
-        yield from along(a, b, shortest_turn(a, b), n)
+        yield from [b] if n == 1 else along(a, b, shortest_turn(a, b), n)

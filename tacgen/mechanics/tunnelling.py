@@ -1,9 +1,11 @@
 """Tunnelling: whether the indenter passes through the gel in a step, or between the contact's quadrature points."""
 
 from collections.abc import Iterable
+from functools import cache
 
 import numpy as np
 
+from tacgen.fem import assembly
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import QUAD_CORNERS, barycentric
 from tacgen.geometry.pose import Pose
@@ -46,7 +48,7 @@ def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> floa
     least = 0.0
     for part in elastic:
         at = np.einsum("qa,eai->eqi", part.elements.shape, x[part.elements.conn]).reshape(-1, 3)
-        least = min(least, float(contact.shape.distance(contact.pose.local(at))[0].min()) + contact.offset)
+        least = min(least, float(contact.shape.value(contact.pose.local(at)).min()) + contact.offset)
     return -least
 
 
@@ -55,15 +57,16 @@ def overlap(contact: Contact, x: Array) -> float:
 
     A few micrometres if the mesh resolves the indenter; more at edges sharper than the mesh.
     """
-    conn, gap = contact.faces.conn, contact.gaps(x)[0].min(1)
+    conn, gap = contact.faces.conn, contact.gap(contact.faces.at(x)).min(1)
     near = gap < contact.dhat + np.sqrt(contact.faces.areas.sum(1))
     if not near.any():
         return 0.0
-    at = np.einsum("qa,fai->fqi", _grid(conn.shape[1]), x[conn[near]]).reshape(-1, 3)
-    deepest = float(contact.shape.distance(contact.pose.local(at))[0].min()) + contact.offset
+    at = assembly.at_points(x, conn[near], _grid(conn.shape[1])).reshape(-1, 3)
+    deepest = float(contact.shape.value(contact.pose.local(at)).min()) + contact.offset
     return max(0.0, -deepest)
 
 
+@cache
 def _grid(nodes: int) -> Array:
     """Shape functions (p, a) on a grid over a facet."""
     u, v = np.stack(np.meshgrid(*[np.linspace(0, 1, BETWEEN + 1)] * 2), -1).reshape(-1, 2).T

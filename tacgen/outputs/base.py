@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -43,12 +44,12 @@ class Entry:
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", self.axes or " ".join(AXES[size] for size in self.shape.split()))
 
-    @property
+    @cached_property
     def dims(self) -> tuple[str | int, ...]:
         """The sizes of the axes."""
         return tuple(int(size) if size.isdigit() else size for size in self.shape.split())
 
-    @property
+    @cached_property
     def per_frame(self) -> bool:
         """Whether the first axis is the frame."""
         return self.dims[0] == "N"

@@ -50,4 +50,4 @@ class View(DrawnFace):
         indenter is shrunk by the mean gap, and the face is smoothed. For a mesh it is a lower bound outside the grid
         of its distance (see geometry/sdf_grid).
         """
-        return self.behind(shape.distance(Pose.of(pose).local(self.nodes))[0][:, None], outermost=True)[..., 0]
+        return self.behind(shape.value(Pose.of(pose).local(self.nodes))[:, None], outermost=True)[..., 0]

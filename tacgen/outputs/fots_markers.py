@@ -45,7 +45,7 @@ class FotsMarkers:
 
     def moved(self, pose: Pose) -> Array:
         """Sideways displacement of the markers (n, 2) [mm]."""
-        depth = -self.shape.distance(pose.local(self._face))[0]
+        depth = -self.shape.value(pose.local(self._face))
         inside = depth > 0
         if not inside.any():
             self._touched = None

@@ -29,7 +29,7 @@ def closest(shape: "Shape", gel: "GelBody", poses: Array) -> float:
         )
         here = gel.contains(x, y)
         face = np.column_stack([x[here], y[here], gel.top(x[here], y[here])])
-        gap = [shape.distance(Pose.of(pose).local(face))[0] for pose in poses]
+        gap = [shape.value(Pose.of(pose).local(face)) for pose in poses]
         nearest = int(np.argmin([distance.min() for distance in gap]))
         poses, at = poses[nearest : nearest + 1], face[int(gap[nearest].argmin())]
         if (least := float(gap[nearest].min())) <= 0:

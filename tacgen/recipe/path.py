@@ -52,7 +52,7 @@ def _sink_depth(shape: Shape, pose: Array, gel: "GelBody") -> float:
         lowered = pose.copy()
         for _ in range(200):
             lowered[2, 3] = pose[2, 3] - sunk
-            gap = shape.distance(Pose.of(lowered).local(face))[0]
+            gap = shape.value(Pose.of(lowered).local(face))
             nearest = int(np.argmin(gap))
             sunk += gap[nearest]  # on the finer grid this may be slightly negative
             if abs(gap[nearest]) < 1e-6 or sunk > most:

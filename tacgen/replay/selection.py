@@ -92,9 +92,7 @@ def body_of(indenter: Indenter, given: Placement | None, turns: Array) -> Record
         given = Placement(position_mm=(0.0, 0.0, -getattr(indenter, CENTRED[indenter.shape])))
     shape = indenters.analytic(indenter)
     assert shape is not None
-    return RecordedBody(
-        indenter, given, lambda p: shape.distance(p)[0], lambda pose: float(pose[2, 3] - shape.support(-pose[2, :3]))
-    )
+    return RecordedBody(indenter, given, shape.value, lambda pose: float(pose[2, 3] - shape.support(-pose[2, :3])))
 
 
 def placement(pose: Array) -> Placement:

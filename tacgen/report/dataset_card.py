@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from tacgen import atomic_file, output_file
@@ -19,15 +19,16 @@ FILE_NAME, OTHER_NAME = CARDS
 MAX_REASONS = 20  # most rows in the table of missing scenes
 
 
-def write(folder: Path) -> Path:
-    """Write the card of a folder that has a finished scene, and return its path.
+def write(folder: Path, known: Iterable[Bundle] = ()) -> Path:
+    """Write the card of a folder that has a finished scene, and return its path; `known` bundles of it are not opened
+    again.
 
     It is README.md or, if that was not written by tacgen or was changed since, DATASET_CARD.md.
 
     Raises:
         UserError: neither is tacgen's.
     """
-    content = output_file.signed(text(dataset_summary.look(folder)))
+    content = output_file.signed(text(dataset_summary.look(folder, known)))
     for path in (folder / FILE_NAME, folder / OTHER_NAME):
         if not os.path.lexists(path) or output_file.is_unchanged_page(path):
             atomic_file.write(path, content)

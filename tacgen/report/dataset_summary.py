@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -120,8 +120,8 @@ class Overview(run_status.Survey):
         return {name: _licence(name) for name in self.indenters if name in known}
 
 
-def look(folder: Path) -> Overview:
-    """Read a folder of bundles, with or without a plan, or a packed folder.
+def look(folder: Path, known: Iterable[Bundle] = ()) -> Overview:
+    """Read a folder of bundles, with or without a plan, or a packed folder; see run_status.opened for `known` ones.
 
     Raises:
         UserError: nothing to read; a packed folder that is incomplete.
@@ -129,7 +129,7 @@ def look(folder: Path) -> Overview:
     if dataset.is_packed(folder):
         return _plain(folder, dataset.read_index(folder).name)
     try:
-        name, opened = run_status.opened(folder)
+        name, opened = run_status.opened(folder, known)
     except UserError:
         return _plain(folder, "")
     scenes = tuple(SceneOverview(**vars(scene), bundle=bundle) for scene, bundle in opened)

@@ -9,6 +9,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread, current_thread, main_thread
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from tacgen import batch
 from tacgen.batch import Limits
 from tacgen.batch.local import Pool, compiler_of
 from tacgen.batch.worker_main import _return_memory
+from tacgen.batch.worker_process import Worker
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import read_journal
 from tacgen.bundle.run_status import survey
@@ -115,6 +117,18 @@ def test_workers_are_replaced_after_their_share(tmp_path: Path):
     results = run(tmp_path / "out", samples=5, limits=Limits(scenes=2))
     pids = [result.seconds["pid"] for result in results]
     assert pids[0] == pids[1] != pids[2] == pids[3] != pids[4]
+
+
+def test_the_end_of_a_replaced_worker_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    stop, waits = Worker.stop, list[Thread]()
+
+    def watched(worker: Worker, patience: float = 0.5) -> int:
+        waits.append(current_thread())
+        return stop(worker, patience)
+
+    monkeypatch.setattr(Worker, "stop", watched)
+    run(tmp_path / "out", samples=3, limits=Limits(scenes=2))
+    assert [thread is main_thread() for thread in waits] == [False, True]  # the second one is there at the end
 
 
 def test_a_pool_stays_for_the_next_batch(tmp_path: Path):

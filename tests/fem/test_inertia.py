@@ -6,7 +6,7 @@ from helpers.small import block, dense, distorted, slope, tetrahedral, turn, who
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import Elements, hexes, tets
+from tacgen.fem.elements import Elements, elements
 from tacgen.fem.inertia import Body
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Total
@@ -30,7 +30,7 @@ def column(axis: int) -> tuple[Elastic, Pattern, Array]:
     free = np.zeros((len(points), 3), bool)
     free[points[:, 2] > 0, axis] = True
     pat = pattern([cells], free)
-    return Elastic.on(pat, hexes(points, cells), LAW), pat, points
+    return Elastic.on(pat, elements(points, cells), LAW), pat, points
 
 
 def swing(axis: int, h: float, steps: int, alpha: float = 0.0, beta: float = 0.0) -> tuple[Array, Array]:
@@ -93,9 +93,9 @@ def kinds() -> dict[str, tuple[Array, Elements]]:
     ten, tet10 = tetrahedral(points, cells)
     four, tet4 = tetrahedral(points, cells, 4)
     return {
-        "hex": (points, hexes(points, cells)),
-        "quadratic tet": (ten, tets(ten, tet10)),
-        "linear tet": (four, tets(four, tet4)),
+        "hex": (points, elements(points, cells)),
+        "quadratic tet": (ten, elements(ten, tet10)),
+        "linear tet": (four, elements(four, tet4)),
     }
 
 
@@ -112,7 +112,7 @@ def test_mass_is_positive_and_the_density_times_the_volume(kind: str) -> None:
 def test_derivatives_are_those_of_the_energy(alpha: float, beta: float) -> None:
     points, cells = distorted()
     pat, rng = whole(cells, 8), np.random.default_rng(0)
-    elastic = Elastic.on(pat, hexes(points, cells), LAW)
+    elastic = Elastic.on(pat, elements(points, cells), LAW)
     start = points @ turn(1).T + rng.normal(size=points.shape) * 0.1
     step = Body.of(pat, (elastic,), 1e-6, alpha, beta).step(start, rng.normal(size=points.shape) * 10, 1e-3)
     x = start + rng.normal(size=points.shape) * 0.1
@@ -127,7 +127,7 @@ def test_damping_stays_convex_and_forgets_no_rigid_motion() -> None:
     """From a block squeezed far beyond buckling, where the exact stiffness is not definite."""
     points, cells = block(2)
     pat = whole(cells, len(points))
-    elastic = Elastic.on(pat, hexes(points, cells), LAW)
+    elastic = Elastic.on(pat, elements(points, cells), LAW)
     squeezed = points * [1.0, 1.0, 0.35]
     assert np.linalg.eigvalsh(dense(elastic, squeezed, pat)).min() < -1e-3
     step = Body.of(pat, (elastic,), 1e-15, 0.0, 1.0).step(squeezed, np.zeros_like(points), 1.0)

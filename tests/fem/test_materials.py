@@ -7,7 +7,7 @@ import pytest
 from helpers.small import dense, distorted, slope, turn, whole
 
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import Elements, hexes
+from tacgen.fem.elements import Elements, elements
 from tacgen.fem.materials import EXAMPLES, Derivatives, Law
 from tacgen.fem.potential import Projection
 
@@ -40,7 +40,7 @@ def hex_of(law: Law) -> tuple[Elastic, Array]:
     """A distorted hex and a strained state of it, turned."""
     points, conn = distorted()
     stretched = points @ np.diag([1.3, 0.8, 1.1]) + np.random.default_rng(5).uniform(-0.1, 0.1, points.shape)
-    return Elastic.on(whole(conn, 8), hexes(points, conn), law), stretched @ turn(2).T
+    return Elastic.on(whole(conn, 8), elements(points, conn), law), stretched @ turn(2).T
 
 
 def simplex(law: Law) -> Elastic:

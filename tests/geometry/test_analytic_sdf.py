@@ -52,6 +52,14 @@ def smooth_ones(shape: Shape, p: Array, h: float) -> Array:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=10, deadline=None)
+@given(data=st.data(), seed=SEED)
+def test_the_value_alone_is_the_distance(kind: str, data: st.DataObject, seed: int) -> None:
+    shape, p = data.draw(KINDS[kind]), cloud(seed)
+    assert (shape.value(p) == shape.distance(p)[0]).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=25, deadline=None)
 @given(data=st.data(), seed=SEED)
 def test_gradient_and_hessian_are_slopes(kind: str, data: st.DataObject, seed: int) -> None:

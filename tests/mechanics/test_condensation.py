@@ -6,7 +6,7 @@ from helpers.small import block, full
 
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import boxes, hexes
+from tacgen.fem.elements import boxes, elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
 from tacgen.mechanics import condensation
@@ -27,7 +27,7 @@ class Bulk:
         free[self.top[5, 0], 1] = free[self.top[6, 1]] = False
         self.free, self.pattern = free, pattern([cells], free)
         self.data = np.zeros(len(self.pattern.indices))
-        elastic = Elastic.on(self.pattern, hexes(points, cells), NeoHooke(0.05, 1.0))
+        elastic = Elastic.on(self.pattern, elements(points, cells), NeoHooke(0.05, 1.0))
         elastic.add_hessian(points, self.data, Projection.NONE)
         self.rest = self.data.copy()
         self.condensed = Condensation(self.pattern, lambda: self.rest)
@@ -75,7 +75,7 @@ def test_it_is_the_schur_complement_where_some_condensed_nodes_have_no_others_be
     free[points[:, 2] == 0] = False
     pat = pattern([cells], free)
     data = np.zeros(len(pat.indices))
-    Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
+    Elastic.on(pat, elements(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
     K = full(pat, data)
     for where in (slice(2, 7), slice(0, 5), slice(4, 9)):
         on = np.arange(len(points)).reshape(n + 1, n + 1, 2)[where, where, 1]

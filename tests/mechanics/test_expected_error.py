@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from tacgen.geometry.analytic_sdf import CapsuleSdf, SphereSdf
+from tacgen.geometry.analytic_sdf import CapsuleSdf, Shape, SphereSdf, TorusSdf, WedgeSdf
 from tacgen.geometry.outline import Pad
+from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics.expected_error import FACTOR, FaceGrid, expected_force_error
 
 PAD = Pad(25.0, 20.0)
@@ -32,6 +33,19 @@ def test_a_long_contact_is_as_wide_as_it_is_short() -> None:
     face = FaceGrid.of(PAD)
     ball, rod = (face.width(shape, lowered(0.5)) for shape in (SphereSdf(2), CapsuleSdf(2, 8)))
     assert ball < rod < 2 * ball
+
+
+@pytest.mark.parametrize("shape", [SphereSdf(0.3), CapsuleSdf(1, 6), TorusSdf(6, 0.5), WedgeSdf(0.8, 0.2, 9.0)])
+def test_the_overlap_is_that_of_all_points(shape: Shape) -> None:
+    """Though only blocks near the indenter are looked at; on a domed face."""
+    pad = Pad(25.0, 20.0, radii=(30.0, 40.0))
+    face, pose = FaceGrid.of(pad, 0.11), np.eye(4)
+    for angle, x, y in ((0.3, 1.3, -2.1), (1.9, 11.0, 8.0)):
+        pose[:3, 3] = x, y, float(pad.top(x, y)) - 0.3
+        pose[:3, :3] = about(np.eye(3)[0], 0.2) @ about(np.eye(3)[2], angle)
+        hit = face.inside & (shape.value(Pose.of(pose).local(face.points)) < 0)
+        assert hit.any()
+        assert face.overlap(shape, pose)[0] == pytest.approx(hit.sum() * face.step**2)
 
 
 def test_without_contact_it_is_not_known() -> None:

@@ -6,7 +6,7 @@ from helpers.small import block, full
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import hexes
+from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
 from tacgen.mechanics.linear_solvers import SOLVERS, Cholmod, NotPositiveDefinite, available, best, dissection, readable
@@ -21,7 +21,7 @@ def system(n: int = 4) -> tuple[Pattern, Array, Array, Array]:
     free[points[:, 2] == 0] = False
     pat = pattern([cells], free)
     data = np.zeros(len(pat.indices))
-    Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
+    Elastic.on(pat, elements(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
     return pat, data, full(pat, data), np.random.default_rng(0).normal(size=pat.size)
 
 

@@ -1,5 +1,6 @@
 """Grids: what is fine, what grows, what is named; for any footprint."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -11,10 +12,11 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from tacgen.errors import UserError
-from tacgen.fem.elements import facet_areas, hexes
+from tacgen.fem.elements import elements, facet_areas
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import SphereSdf, TorusSdf
+from tacgen.geometry.analytic_sdf import CapsuleSdf, SphereSdf, TorusSdf
 from tacgen.geometry.gel import GelBody, GelLayer
+from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 
 LAW = NeoHooke(0.05, 0.4)
@@ -79,8 +81,7 @@ def test_a_pad_of_two_layers() -> None:
     x = made.points
     assert x.min(0) == pytest.approx([-6, -5, -2.7])
     assert x.max(0) == pytest.approx([6, 5, 0])
-    elements = hexes(x, made.cells)  # refuses cells that are inside out
-    volume = elements.weights.sum(1)
+    volume = elements(x, made.cells).weights.sum(1)  # refuses cells that are inside out
     assert volume.sum() == pytest.approx(12 * 10 * 2.7)
     assert [volume[made.layer == k].sum() for k in (0, 1)] == pytest.approx([240, 84])
     centre = x[made.cells].mean(1)
@@ -128,6 +129,19 @@ def test_what_a_thin_indenter_leaves_below_the_face_is_fine_too() -> None:
     assert min(-x0, x1, -y0, y1) >= 3.0
 
 
+def test_a_turning_path_touches_what_lies_inside_at_any_of_its_poses() -> None:
+    """Around a corner of the face, which itself hardly moves in the indenter's frame."""
+    path = poses([(-6.0, -5.0, -0.4)] * 6)
+    for k, pose in enumerate(path):
+        pose[:3, :3] = about(np.eye(3)[2], 0.2 * k)
+    made = scene(CapsuleSdf(1.0, 16.0), path, pad=gel(2.0), edge=0.6)
+    step = made.edge / mesh.FACE_STEPS
+    x, y = (np.linspace(-size / 2, size / 2, math.ceil(size / step) + 1) for size in (12.0, 10.0))
+    face = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], -1).reshape(-1, 3)
+    inside = np.any([made.shape.value(Pose.of(pose).local(face)) < 0 for pose in path], axis=0)
+    assert mesh.touched(made) == pytest.approx(face[inside])
+
+
 def test_cells_lie_alike_around_the_start_of_a_slide() -> None:
     path = poses([(0.0, 0.0, -1.0), (1.0, 0.0, -1.0)])
     made = scene(SphereSdf(4.0), path, pad=presses.gel(25.25, 20.75, 4.0), edge=0.36)
@@ -145,7 +159,7 @@ def test_columns_outside_the_rounded_outline_are_left_out() -> None:
     area = facet_areas(made.points, made.facets["coated"])[0].sum()
     assert area == pytest.approx(120 - (4 - np.pi) * 2.5**2, rel=5e-3)
     assert facet_areas(made.points, made.facets["bonded"])[0].sum() == pytest.approx(area)
-    assert hexes(made.points, made.cells).weights.sum() == pytest.approx(2 * area)
+    assert elements(made.points, made.cells).weights.sum() == pytest.approx(2 * area)
     assert np.abs(made.points[:, :2]).max(0) == pytest.approx([6, 5])
 
 

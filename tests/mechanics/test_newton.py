@@ -9,7 +9,7 @@ from helpers.small import Load, block
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import hexes
+from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Potential, Projection, Total
 from tacgen.mechanics.linear_solvers import Cholmod
@@ -72,7 +72,7 @@ def held_block(n: int, lift: float) -> tuple[Elastic, Array, Pattern]:
     pat = pattern([cells], free)
     x = points.copy()
     x[points[:, 2] == 1, 2] += lift
-    return Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0)), x, pat
+    return Elastic.on(pat, elements(points, cells), NeoHooke(0.05, 1.0)), x, pat
 
 
 def run(potential: Potential, x: Array, pat: Pattern, **how: object) -> Solution:
@@ -112,7 +112,7 @@ def test_an_inversion_is_never_accepted() -> None:
     free = np.zeros((len(points), 3), bool)
     free[points[:, 2] > 0, 2] = True
     pat = pattern([cells], free)
-    elastic = Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0))
+    elastic = Elastic.on(pat, elements(points, cells), NeoHooke(0.05, 1.0))
     watched = Watched(Total((elastic, Load(np.where(points[:, 2:] == 1, [0, 0, -0.2], 0.0)))))
     found = run(watched, points, pat)
     assert found.status is Status.converged

@@ -9,7 +9,7 @@ from helpers.small import block, patch, whole
 
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import hexes
+from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import CapsuleSdf, CylinderSdf, Shape, SphereSdf, WedgeSdf
 from tacgen.geometry.pose import Pose
@@ -54,7 +54,9 @@ def test_a_step_that_goes_too_far_is_reported(shape: Shape, start: Pose, end: Po
 
 
 def test_what_lies_inside_the_gel_is_found() -> None:
-    elastic = [Elastic.on(pattern([CELLS], np.ones((len(POINTS), 3), bool)), hexes(POINTS, CELLS), NeoHooke(0.05, 0.5))]
+    elastic = [
+        Elastic.on(pattern([CELLS], np.ones((len(POINTS), 3), bool)), elements(POINTS, CELLS), NeoHooke(0.05, 0.5))
+    ]
     faces = Faces.on(PATTERN, POINTS, QUADS)
     deep = Contact(faces, CapsuleSdf(0.3, 2.0), at(0, -0.8), 0.03, 0.3)
     assert deep.gaps(POINTS)[0].min() > 0  # contact sees nothing of it

@@ -13,7 +13,7 @@ from benchmarks.reference_runs import row_of
 from tacgen import mechanics
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import hexes
+from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.mechanics import DEFAULT, SolverOptions, mesh
@@ -114,7 +114,7 @@ def test_a_bar_twisted_once_around() -> None:
     X = grid.points
     ends = np.isclose(X[:, 2], 0) | np.isclose(X[:, 2], -length)
     pat = pattern([grid.cells], np.repeat(~ends[:, None], 3, 1))
-    body, solver = Elastic.on(pat, hexes(X, grid.cells), law), best(pat)
+    body, solver = Elastic.on(pat, elements(X, grid.cells), law), best(pat)
     x, energies, torques = X, [0.0], []
     for _ in range(turns):
         step = 2 * np.pi / turns * (X[:, 2] + length) / length  # each section on by its share

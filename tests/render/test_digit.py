@@ -9,7 +9,7 @@ from helpers import small_recipe
 from helpers.presses import Run, run
 
 from tacgen.errors import UserError
-from tacgen.fem.elements import facet_areas, hexes
+from tacgen.fem.elements import elements, facet_areas
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
@@ -89,7 +89,7 @@ def test_columns_are_squeezed_under_the_dome_and_no_cell_is_bad(pressed: Run) ->
     assert face[:, 2] == pytest.approx(gel.top(*face[:, :2].T), abs=1e-12)
     assert face[:, 2].min() < -1.2
     assert x[np.unique(grid.facets["bonded"]), 2] == pytest.approx(-4.06)
-    assert hexes(x, grid.cells).weights.min() > 0
+    assert elements(x, grid.cells).weights.min() > 0
     assert scaled_jacobian(x, grid.cells).min() > 0.9
 
 

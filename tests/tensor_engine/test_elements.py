@@ -9,7 +9,7 @@ from helpers.small import block, full
 
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import hexes
+from tacgen.fem.elements import elements as cpu_elements
 from tacgen.fem.folding_barrier import FoldingBarrier as OneFolding
 from tacgen.fem.jacobian import least_jacobian as one_least_jacobian
 from tacgen.fem.materials import EXAMPLES, Law, Stiffened
@@ -37,7 +37,8 @@ class Case:
         self.taken = [p + r.uniform(-shake, shake, p.shape) for p in self.points]
         self.pattern = pattern([cells], np.ones((n, 3), bool))
         self.one = [
-            Elastic.on(self.pattern, hexes(p, cells), law) for p, law in zip(self.points, LAWS.values(), strict=True)
+            Elastic.on(self.pattern, cpu_elements(p, cells), law)
+            for p, law in zip(self.points, LAWS.values(), strict=True)
         ]
         self.topology = Topology.of(cells, np.zeros((0, 4), int), n)
         self.exists = torch.ones(len(SCENES), len(cells), dtype=torch.bool)
@@ -120,7 +121,7 @@ def test_void_cells_have_no_energy_forces_or_stiffness(case: Case) -> None:
     exists[2, 5:] = False
     some = Hexes.on(case.topology, case.X, exists, case.laws)
     x = case.tensor(case.x)
-    alone = replace(case.one[2], elements=hexes(case.points[2], case.cells[2][:5]), slots=None)
+    alone = replace(case.one[2], elements=cpu_elements(case.points[2], case.cells[2][:5]), slots=None)
     point = alone.evaluate(case.x[2])
     assert float(some.energy(x)[2]) == pytest.approx(point.energy, rel=1e-11)
     assert some.gradient(x)[1][2].numpy() == pytest.approx(alone.forces(point, len(case.X[2])), abs=1e-11)
