@@ -1,29 +1,25 @@
-"""Compression of chunks outside HDF5, in the format of its filters: shuffle, then deflate, by ISA-L.
+"""Compression of chunks outside HDF5, in the format of its filters: shuffle, then deflate, by libdeflate.
 
-For inputs below about 288 bytes ISA-L (2.32) gives different bytes for the same content in 1 to 2 % of processes; of
-145 000 streams of 300 bytes and more none differed. Small chunks are therefore compressed by zlib, which is
-deterministic.
-
-Any HDF5 reads the result; its own zlib would take ten times as long to write it. Each stream ends with a checksum of
-its content (Adler-32), which is verified on reading. Each component of a map has its own chunk, which compresses
-better; images are one chunk: with three they would be a tenth smaller but take half as long again to read.
-Maps are rounded before, to the digits that their error allows, since random bits cannot be compressed.
+Any HDF5 reads the result. libdeflate gives the same bytes for the same content in each process; ISA-L, four times as
+fast, gives others for one stream in some thousands. Each stream ends with a checksum of its content (Adler-32), which
+is verified on reading. Each component of a map has its own chunk, which compresses better; images are one chunk: with
+three they would be a tenth smaller but take half as long again to read. Maps are rounded before, to the digits that
+their error allows, since random bits cannot be compressed.
 """
 
 import hashlib
 import math
-import zlib
 from typing import Any
 
+import deflate
 import numpy as np
-from isal import igzip_lib, isal_zlib
 
 from tacgen.bundle.schema import entry
 
 Array = np.ndarray
-LEVEL = 1  # ISA-L's compression level, 0 to 3: higher ones save 1 % of bytes
+LEVEL = 1  # libdeflate's compression level, 1 to 12
 FILTERS = (2, 1)  # HDF5's numbers of shuffle and deflate
-SMALL = 4096  # [bytes] chunks up to this size hold several small frames; smaller chunks are compressed by zlib
+SMALL = 4096  # [bytes] chunks up to this size hold several small frames
 
 
 class Column:
@@ -75,7 +71,7 @@ class Column:
             ValueError: it does not.
         """
         for begin, checksum in self._sums.items():
-            if isal_zlib.crc32(data.id.read_direct_chunk(begin)[1]) != checksum:
+            if deflate.crc32(data.id.read_direct_chunk(begin)[1]) != checksum:
                 raise ValueError(f"{data.name} is not what was written")
         return self.hash.hexdigest()
 
@@ -89,7 +85,7 @@ class Column:
             begin[0] = (self.length - 1) // max(1, self._rows) * self._rows
             begin[-1] += part
             self.data.id.write_direct_chunk(tuple(begin), stream)
-            self._sums[tuple(begin)] = isal_zlib.crc32(stream)
+            self._sums[tuple(begin)] = deflate.crc32(stream)
 
 
 class FrameReader:
@@ -137,19 +133,18 @@ def _packed(block: Array, parts: int) -> list[bytes]:
     """Compress a block (..., c) as 1 chunk, or as c chunks of one component each."""
     flat = np.ascontiguousarray(block).reshape(-1).view(np.uint8)
     planes = np.ascontiguousarray(flat.reshape(-1, parts * block.itemsize).T).reshape(parts, -1)
-    return [(zlib if len(plane) < SMALL else isal_zlib).compress(plane, LEVEL) for plane in planes]
+    return [bytes(deflate.zlib_compress(plane, LEVEL)) for plane in planes]
 
 
 def _unpacked(streams: list[bytes], dtype: np.dtype, shape: tuple[int, ...]) -> Array:
     """Decompress the streams of a block."""
-    size, plain = dtype.itemsize * math.prod(shape) // len(streams), list[bytes]()
+    size, plain = dtype.itemsize * math.prod(shape) // len(streams), list[bytearray]()
     for stream in streams:
-        inflater = isal_zlib.decompressobj()
         try:
-            plain.append(inflater.decompress(stream, size + 1))  # limits the output of a malicious stream
-        except igzip_lib.IsalError as error:  # type: ignore[misc]
+            plain.append(deflate.zlib_decompress(stream, size))  # no more than that of a malicious stream
+        except deflate.DeflateError as error:
             raise ValueError(f"a chunk does not inflate: {error}") from None
-        if not inflater.eof or len(plain[-1]) != size:
+        if len(plain[-1]) != size:
             raise ValueError("a chunk is not as long as it should be")
     planes = np.frombuffer(b"".join(plain), np.uint8).reshape(len(streams) * dtype.itemsize, -1)
     return planes.T.flatten().view(dtype).reshape(shape)

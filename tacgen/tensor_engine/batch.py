@@ -62,7 +62,7 @@ def width_class(nodes: int) -> int:
 
 
 class PartOfStep(Enum):
-    """What a scene does next of a step of its contact: apart from each other, since few scenes need the last two.
+    """The next part of a step of a scene's contact. They have queues of their own, since few scenes need the last two.
 
     COUPLED: takes the coupled step, unless its condensed bulk must be reduced to other unknowns first; REDUCE: that;
     SYMMETRIC: takes a part of the symmetric step, since no part of the coupled one was good enough.

@@ -117,7 +117,7 @@ def contact(b: Batch, s: Tensor) -> list[Outcome]:
 
 
 def _ready(b: Batch, rows: list[int]) -> list[int]:
-    """Of the scenes in these rows, those whose bulk is reduced to unknowns among which are all on which contact acts;
+    """Rows of scenes whose bulk is reduced to unknowns among which are all on which contact acts;
     the others will be reduced."""
     if not rows:
         return []
