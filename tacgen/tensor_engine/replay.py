@@ -63,7 +63,7 @@ def recording() -> bool:
 
 @dataclass
 class _Notes:
-    """Notes on a recording: whether it has room for many, whether that matters, and masks of what it assumes not to occur."""
+    """Notes on a recording: whether it has room for many, whether that matters, and masks of what must not occur."""
 
     roomy: bool
     bounded: bool = False

@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 from tacgen.mechanics.phases import Phase
 
+GRACE = 100  # calls in which the last scenes may still end: as many as two ordinary frames take
 Scene = TypeVar("Scene")
 Result = TypeVar("Result")
 S = TypeVar("S", contravariant=True)
@@ -68,16 +69,15 @@ def run(
     """Scenes with their results, in the order in which they end. `scenes` is read only as slots become free.
 
     fitting: how many of so many that wait for a kernel and a kind of its work are called. use: where calls are counted.
-    last: scenes that are not solved to their end, where no others are left.
+    last: where no others are left, so many are given up, after some more calls.
     """
     waiting, free = iter(scenes), list(range(slots.count))[::-1]
-    inside: dict[int, Scene] = {}
+    inside, late = dict[int, Scene](), 0
     while True:
         while free and (scene := next(waiting, None)) is not None:
             inside[free[-1]] = scene
             slots.enter(free.pop(), scene)
-        if len(inside) <= last and free:  # no others wait
-            yield from ((inside[slot], slots.leave(slot)) for slot in inside)
+        if not inside:
             return
         queues: dict[tuple[Phase, Hashable], list[int]] = {}
         ended = []
@@ -91,6 +91,10 @@ def run(
             free.append(slot)
         if ended:
             continue
+        late += len(inside) <= last and bool(free)  # no others wait
+        if late > GRACE:
+            yield from ((inside[slot], slots.leave(slot)) for slot in inside)
+            return
         (phase, kind), queue = max(queues.items(), key=lambda each: len(each[1]))
         some = queue if fitting is None else queue[: fitting(phase, kind, len(queue))]
         if use is not None:

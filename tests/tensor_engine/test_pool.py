@@ -95,6 +95,7 @@ def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
 
 def test_the_last_scenes_of_a_pool_are_left_to_the_cpu_engine(monkeypatch):
     monkeypatch.setattr(pool, "LAST", 0.5)
+    monkeypatch.setattr(scheduler, "GRACE", 0)
     found = dict(pool.solved(SCENES[:2]))
     assert sorted(str(each.why) for each in found.values()) == ["None", "the last scenes of a batch"]
 

@@ -5,6 +5,7 @@ import random
 import pytest
 
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Phase
+from tacgen.tensor_engine import scheduler
 from tacgen.tensor_engine.scheduler import Use, run
 
 P = Phase
@@ -88,11 +89,15 @@ def test_calls_are_no_larger_than_their_memory_allows():
     assert use.mean == 2.0
 
 
-def test_the_last_scenes_are_given_up_where_no_others_wait() -> None:
+def test_the_last_scenes_are_given_up_where_no_others_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [[P.load] * (k + 1) for k in range(6)]
+    monkeypatch.setattr(scheduler, "GRACE", 0)
     found = [len(had) for _, had in run(Toy(4), scenes, last=2)]
     assert found == [1, 2, 3, 4, 3, 2]  # the last two came when the first and the second had ended
-    assert [len(had) for _, had in run(Toy(4), scenes[:2], last=2)] == [0, 0]
+    assert [len(had) for _, had in run(Toy(2), scenes, last=2)] == [1, 2, 3, 4, 5, 3]  # none while others wait
+    monkeypatch.setattr(scheduler, "GRACE", 2)
+    assert [len(had) for _, had in run(Toy(4), scenes, last=2)] == [1, 2, 3, 4, 5, 4]
+    assert [len(had) for _, had in run(Toy(4), scenes[:2], last=2)] == [1, 2]
 
 
 def test_scenes_are_read_as_slots_become_free():
