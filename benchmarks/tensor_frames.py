@@ -64,8 +64,8 @@ def main() -> None:
             for report in solving.map(batched, parts, [told] * len(parts)):
                 found.append(report)
                 rest += [others.apply_async(alone, (draw,)) for draw in report.left]
-            frames = [len(one.get(told.seconds).forces) for one in rest]  # as in `run`, by the CPU engine meanwhile
         forces = merged(found)
+        frames = [len(one.get().forces) for one in rest]  # as in `run`, by the CPU engine meanwhile
         print(f"with {sum(frames)} frames of {len(rest)} scenes by the CPU engine: {time.time() - start:.1f} s in all")
         if told.compare:
             compare(list(scenes)[: told.compare], forces, told, others.imap_unordered)
