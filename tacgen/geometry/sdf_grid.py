@@ -153,6 +153,10 @@ class Field:
         """The signed distance (n,) alone."""
         return self.distance(p)[0]
 
+    def gradient(self, p: Array) -> tuple[Array, Array]:
+        """The signed distance (n,) and its gradient (n, 3)."""
+        return self.distance(p)[:2]
+
     def support(self, direction: Array) -> float:
         """Support function of the body's convex hull along a unit vector (3,) [mm]."""
         return float((self.corners @ direction).max())

@@ -41,7 +41,7 @@ def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> T
         if not off.any():
             break
         vertices, triangles = _split(vertices, triangles, edges, sides, off)
-    return Triangles(vertices, triangles, shape.distance(vertices)[1])
+    return Triangles(vertices, triangles, shape.gradient(vertices)[1])
 
 
 def of_mesh(vertices: Array, triangles: Array, *, height: float, spacing: float) -> Triangles:
@@ -97,7 +97,7 @@ def _surface_nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[A
 
 def _projected(shape: Shape, vertices: Array) -> Array:
     for _ in range(3):
-        d, n, _ = shape.distance(vertices)
+        d, n = shape.gradient(vertices)
         vertices = vertices - d[:, None] * n
     return vertices
 

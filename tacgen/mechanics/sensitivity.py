@@ -188,7 +188,7 @@ class Sensitivity:
         before, was, faces = self._before, self._slopes.anchor[:, on], self._contact.faces.only(on)
         start, held = before.anchor[on], (before.normal_force[on] > 0)[..., None]
         ahead = after.pose.local(faces.at(before.x if after.predicted is None else after.predicted))
-        gap, normal, _ = self._contact.shape.distance(ahead.reshape(-1, 3))
+        gap, normal = self._contact.shape.gradient(ahead.reshape(-1, 3))
         room, gap, normal = before.gap[on] - before.offset, gap.reshape(ahead.shape[:2]), normal.reshape(ahead.shape)
         trial = np.where(held, start, onset(start, ahead, room, gap))
         gone, closing = self._local(_at(faces, predicted), after), np.maximum(room - gap, 1e-12)

@@ -33,7 +33,7 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
     parts = max(2, int(np.ceil(4 * way[near].max() / reach)))
     entered, entry = np.zeros(len(start), bool), np.zeros_like(start)
     for k in range(parts + 1):
-        d, n, _ = contact.shape.distance(start + k / parts * step)
+        d, n = contact.shape.gradient(start + k / parts * step)
         inside = d + contact.offset < 0
         entry[inside & ~entered] = n[inside & ~entered]
         entered |= inside

@@ -99,7 +99,7 @@ class GelSurface:
         """Gap (n,) [mm] from points (n, 3) [mm] to the indenter, and its unit normals (n, 3) there."""
         assert self._contact is not None
         shape, pose = self._contact[:2]
-        gap, normal, _ = shape.distance(pose.local(points))
+        gap, normal = shape.gradient(pose.local(points))
         return gap, normal @ pose.rotation.T
 
     @property

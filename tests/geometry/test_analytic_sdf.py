@@ -57,6 +57,7 @@ def smooth_ones(shape: Shape, p: Array, h: float) -> Array:
 def test_the_value_alone_is_the_distance(kind: str, data: st.DataObject, seed: int) -> None:
     shape, p = data.draw(KINDS[kind]), cloud(seed)
     assert (shape.value(p) == shape.distance(p)[0]).all()
+    assert all((one == other).all() for one, other in zip(shape.gradient(p), shape.distance(p)[:2], strict=True))
 
 
 @pytest.mark.parametrize("kind", KINDS)
