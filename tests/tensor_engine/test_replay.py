@@ -196,6 +196,7 @@ def test_recordings_make_room_for_others(short: list[bool], monkeypatch: pytest.
     (other,) = replays("other", double, index_of([4], CPU))
     (other,) = replays("other", double, index_of([4], CPU))
     assert (other.tolist(), done[-1]) == ([8.0], not all(short))
+    assert replays.on != all(short)  # no call looks for memory again
     assert doubled() == ([6.0, 2.0], False)  # anew
 
 
