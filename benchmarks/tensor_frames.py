@@ -3,8 +3,9 @@
     python -m benchmarks.tensor_frames [--draws 0 256] [--slots 512] [--workers 16] [--compare 32] [--seconds 300]
 
 Scenes of benchmarks/draws.py at draft are solved in refilled slots, pattern after pattern, by one process or by several
-that share the GPU. Then some of them are solved by the CPU engine, a process a core. Prints frames a second of both,
-what each kernel takes, how many scenes share a call, how far forces differ, and peak memory.
+that share the GPU; the CPU engine solves those that it leaves, meanwhile. Then some are solved by the CPU engine alone,
+a process a core. Prints frames a second of both, what each kernel takes, how many scenes share a call, how far forces
+differ, and peak memory.
 """
 
 import argparse
@@ -175,7 +176,8 @@ def merged(found: list[Report]) -> dict[int, Array]:
     mean = scenes.total() / max(calls.total(), 1)
     for report in found:
         memory[report.process] = max(memory.get(report.process, 0.0), report.memory / 1e9)
-    ended = sum(len(one) for report in found for draw, one in report.forces.items() if draw not in set(report.left))
+    left = {draw for report in found for draw in report.left}
+    ended = sum(len(one) for draw, one in forces.items() if draw not in left)
     print(
         f"batch engine, {len(memory)} processes: {len(forces)} scenes, {why.total()} of them not to their end; of the"
         f" others {ended} frames in {elapsed:.1f} s: {ended / elapsed:.1f} a second, {busiest:.1f} of all in the best"

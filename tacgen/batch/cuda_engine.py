@@ -104,7 +104,7 @@ class _Solutions:
         self._rows, self._folder, self._on_event = rows, folder, on_event
         self._places = {row.name: _place(folder, row) for row in rows}
         self._ended, self._notes, self._closed = set[str](), deque[str](), Event()
-        self._begun = deque[tuple[Sequence[Row], list[Future[list[str]]]]]()
+        self._chunks = deque[tuple[Sequence[Row], list[Future[list[str]]]]]()
         self._there, self._seen = set[str](), 0.0  # names of solutions when they were last looked for
         self._clear()  # what a killed run has left may be another recipe's
         (folder / FOLDER).mkdir(exist_ok=True)
@@ -120,11 +120,11 @@ class _Solutions:
             if self._closed.is_set():
                 return
             some = self._rows[k : k + CHUNK]
-            self._begun.append((some, begin(some)))
-            if len(self._begun) > 1:
-                self._finish(*self._begun[0])
-        while self._begun:
-            self._finish(*self._begun[0])
+            self._chunks.append((some, begin(some)))
+            if len(self._chunks) > 1:
+                self._finish(*self._chunks[0])
+        while self._chunks:
+            self._finish(*self._chunks[0])
 
     def _finish(self, rows: Sequence[Row], parts: Sequence[Future[list[str]]]) -> None:
         """Wait for the first chunk that is begun; a reason for each of its scenes that has no solution."""
@@ -134,7 +134,7 @@ class _Solutions:
             self._notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
         except CancelledError:
             pass
-        self._begun.popleft()
+        self._chunks.popleft()
         if self._closed.is_set():  # the folder of solutions is gone
             return
         for row in rows:
@@ -159,7 +159,7 @@ class _Solutions:
     def close(self) -> None:
         """No more solutions are needed."""
         self._closed.set()
-        for _, parts in list(self._begun):
+        for _, parts in list(self._chunks):
             for part in parts:
                 part.cancel()
         self._tell()

@@ -218,7 +218,7 @@ def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu
         with ThreadPoolExecutor(1) as ahead:
             closed = cuda_engine._Solutions([row], tmp_path, events.append)
             made = ahead.submit(closed.make, lambda rows: [waiting])
-            while not closed._begun:
+            while not closed._chunks:
                 time.sleep(0.01)
             closed.close()
             assert made.result(10) is None
