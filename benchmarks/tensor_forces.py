@@ -38,7 +38,7 @@ def main() -> None:
     numbers = range(told.draws[0], sum(told.draws))
     scenes = {k: scene for k in numbers if (scene := scene_of(k, told.edge)) is not None}
     keys = list(scenes)
-    for number, found in pool.solved(scenes.values(), device, dtype=told.dtype, slots=told.batch, least=1):
+    for number, found in pool.solved(scenes.values(), device, dtype=told.dtype, slots=told.batch, share=False):
         say(compared(keys[number], scenes[keys[number]], found))
         if time.perf_counter() > end:
             say("out of time")

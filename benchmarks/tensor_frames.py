@@ -37,8 +37,7 @@ from tacgen.mechanics.state import State
 from tacgen.recipe import scene_of_row
 from tacgen.tensor_engine import device, engine, pool, scheduler
 from tacgen.tensor_engine.batch import Batch
-from tacgen.tensor_engine.grids import GridPattern
-from tacgen.tensor_engine.planning import LEAST_SHARED, Planned, divided
+from tacgen.tensor_engine.planning import Planned, divided
 
 Array = np.ndarray
 WINDOW = 10  # [s] in which frames are counted: at the end few scenes are left
@@ -54,12 +53,11 @@ def main() -> None:
     draws = [k for k in range(told.draws[0], sum(told.draws)) if drawn(k).sensor in (told.sensors or [drawn(k).sensor])]
     with multiprocessing.get_context("spawn").Pool(told.workers) as others:
         made = {k: one for k, one in zip(draws, others.imap(planned, draws), strict=True) if one is not None}
-        scenes, patterns = {k: scene for k, (scene, _) in made.items()}, [pattern for _, pattern in made.values()]
-        print(f"{len(scenes)} scenes, {len(draws) - len(scenes)} refused", flush=True)
-        keys, parts = np.array(list(scenes)), list[dict[int, Scene]]()
+        print(f"{len(made)} scenes, {len(draws) - len(made)} refused", flush=True)
+        keys, parts = list(made), list[list[Planned]]()
         for first in range(0, len(keys), CHUNK):  # as `run` does
-            chunk = keys[first : first + CHUNK], patterns[first : first + CHUNK]
-            parts += [{int(k): scenes[k] for k in chunk[0][part]} for part in divided(chunk[1], told.processes)]
+            chunk = [made[k] for k in keys[first : first + CHUNK]]
+            parts += [[chunk[k] for k in part] for part in divided(chunk, told.processes)]
         with ProcessPoolExecutor(told.processes, mp_context=multiprocessing.get_context("spawn")) as solving:
             start, found, rest = time.time(), list[Report](), list[AsyncResult[Alone]]()
             for report in solving.map(batched, parts, [told] * len(parts)):
@@ -69,7 +67,7 @@ def main() -> None:
         frames = [len(one.get().forces) for one in rest]  # as in `run`, by the CPU engine meanwhile
         print(f"with {sum(frames)} frames of {len(rest)} scenes by the CPU engine: {time.time() - start:.1f} s in all")
         if told.compare:
-            compare(list(scenes)[: told.compare], forces, told, others.imap_unordered)
+            compare(keys[: told.compare], forces, told, others.imap_unordered)
 
 
 def arguments() -> argparse.Namespace:
@@ -77,7 +75,6 @@ def arguments() -> argparse.Namespace:
     ask.add_argument("--draws", type=int, nargs=2, default=(0, 256), metavar=("FIRST", "COUNT"))
     ask.add_argument("--sensors", nargs="*", help="only draws of these")
     ask.add_argument("--slots", type=int, default=pool.MOST_SLOTS)
-    ask.add_argument("--least", type=int, default=LEAST_SHARED, help="scenes of a pattern; fewer share a larger one")
     ask.add_argument("--processes", type=int, default=1, help="that share the GPU; start nvidia-cuda-mps-control first")
     ask.add_argument("--workers", type=int, default=multiprocessing.cpu_count(), help="processes, one a core")
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
@@ -88,10 +85,10 @@ def arguments() -> argparse.Namespace:
     return ask.parse_args()
 
 
-def planned(index: int) -> tuple[Scene, GridPattern | None] | None:
-    """The scene of a draw, and its pattern; None where it is refused."""
+def planned(index: int) -> Planned | None:
+    """The scene of a draw; None where it is refused."""
     scene = scene_of(index)
-    return None if scene is None else (scene, Planned.of((index, scene)).pattern)
+    return None if scene is None else Planned.of((index, scene))
 
 
 def scene_of(index: int) -> Scene | None:
@@ -134,30 +131,30 @@ class Report:
         return watched
 
 
-def batched(scenes: dict[int, Scene], told: argparse.Namespace) -> Report:
+def batched(plans: list[Planned], told: argparse.Namespace) -> Report:
     """Solve scenes by the batch engine; prints as it goes."""
     usable = [told.device] if told.device else (device.usable() or ["cpu"])
     memory, dtype, out = device.chosen(usable[0], MEMORY / told.processes), getattr(torch, told.dtype), Report()
     torch.set_num_threads(1)
     if not STARTED:
-        for _ in pool.solved(list(scenes.values())[: told.warm], usable[0], dtype=dtype, memory=memory):
+        for _ in pool.solved(plans[: told.warm], usable[0], dtype=dtype, memory=memory):
             pass  # loads libraries, and compiles
         STARTED.append(time.time())
-    cuda, keys = usable[0].startswith("cuda"), list(scenes)
+    cuda = usable[0].startswith("cuda")
     engine.advance = out.watch(ADVANCE, cuda)  # type: ignore[assignment]
-    out.begun, sizes = time.time(), {"slots": told.slots, "least": told.least, "memory": memory}
+    out.begun, sizes = time.time(), {"slots": told.slots, "memory": memory}
     try:
-        for number, found in pool.solved(scenes.values(), usable[0], dtype=dtype, use=out.use, **sizes):
-            out.forces[keys[number]] = forces_of(found.states)
+        for number, found in pool.solved(plans, usable[0], dtype=dtype, use=out.use, **sizes):
+            out.forces[number] = forces_of(found.states)
             if found.why is not None:
                 out.why[str(found.why)[:70]] += 1
-                out.left.append(keys[number])
+                out.left.append(number)
             if time.time() - STARTED[0] > told.seconds:
                 print("  out of time")
                 break
     except RuntimeError as error:  # as in `run`, the CPU engine has the scenes that are left
-        out.why[f"a process stopped: {str(error).splitlines()[0][:90]}"] += len(scenes) - len(out.forces)
-        out.left += [draw for draw in scenes if draw not in out.forces]
+        out.why[f"a process stopped: {str(error).splitlines()[0][:90]}"] += len(plans) - len(out.forces)
+        out.left += [plan.number for plan in plans if plan.number not in out.forces]
     out.ended, out.memory = time.time(), torch.cuda.max_memory_reserved() if cuda else 0.0
     return out
 

@@ -238,7 +238,7 @@ def _begun(
     from tacgen.tensor_engine.planning import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
-    parts, share = divided([plan.pattern for plan in plans], count), -(-count // len(devices))
+    parts, share = divided(plans, count), -(-count // len(devices))
     try:
         return [
             solving.submit(_solve, {k: rows[k] for k in part}, [plans[k] for k in part], folder, device, share)

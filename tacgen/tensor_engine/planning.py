@@ -9,8 +9,6 @@ from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import grids, scope
 from tacgen.tensor_engine.grids import GridPattern
 
-LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
-
 
 @dataclass(frozen=True)
 class Planned:
@@ -39,18 +37,27 @@ class Planned:
         return self.scene is not None and 2 * self.scene.shape.reach < self.scene.edge
 
 
-def divided(patterns: Sequence[GridPattern | None], parts: int) -> list[list[int]]:
-    """Numbers of scenes in parts for so many processes that share a GPU, those that take longest first: scenes that
-    share a pattern together, in several parts if they are many. Those without a pattern go with the last."""
-    shared, groups = grids.merged(Counter(filter(None, patterns)), LEAST_SHARED), dict[GridPattern | None, list[int]]()
-    for number, pattern in enumerate(patterns):
-        groups.setdefault(pattern and shared[pattern], []).append(number)
-    others = groups.pop(None, [])
-    each = [(pattern.size**2 * len(group), group) for pattern, group in groups.items() if pattern]  # time, about
+def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, bool], list[int]]:
+    """Places in the list of the scenes that are solved together: by their pattern, and whether they are thin. share:
+    whether scenes of some patterns are put into a larger one."""
+    out: dict[tuple[GridPattern, bool], list[int]] = {}
+    for thin in (False, True):
+        wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.thin is thin)
+        found = grids.merged(wanted) if share else {pattern: pattern for pattern in wanted}
+        for k, plan in enumerate(plans):
+            if plan.pattern and plan.thin is thin:
+                out.setdefault((found[plan.pattern], thin), []).append(k)
+    return out
+
+
+def divided(plans: Sequence[Planned], parts: int) -> list[list[int]]:
+    """Places in the list of scenes in parts for so many processes that share a GPU, those that take longest first:
+    scenes of a pool together, in several parts if they are many. Those without a pattern go with the last."""
+    each = [(grids.time_of(pattern, len(group)), group) for (pattern, _), group in pools(plans).items()]
     whole, out = sum(time for time, _ in each), list[tuple[float, list[int]]]()
     for time, group in each:
         count = max(1, min(round(parts * time / whole), len(group)))
         out += [(time / count, group[k::count]) for k in range(count)]
     found = [group for _, group in sorted(out, key=lambda part: -part[0])] or [[]]
-    found[-1] += others
+    found[-1] += [k for k, plan in enumerate(plans) if plan.pattern is None]
     return [part for part in found if part]

@@ -1,6 +1,5 @@
 """Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
@@ -19,9 +18,9 @@ from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
-from tacgen.tensor_engine.grids import Embedded, GridPattern
+from tacgen.tensor_engine.grids import Embedded
 from tacgen.tensor_engine.multifrontal import Multifrontal
-from tacgen.tensor_engine.planning import LEAST_SHARED, Planned
+from tacgen.tensor_engine.planning import Planned, pools
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
 # A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So the CPU engine
@@ -120,26 +119,21 @@ def solved(
     *,
     dtype: torch.dtype = torch.float32,
     slots: int = MOST_SLOTS,
-    least: int = LEAST_SHARED,
+    share: bool = True,
     memory: float = devices.CPU_MEMORY,
     use: scheduler.Use | None = None,
 ) -> Iterator[tuple[int, Solved]]:
     """Numbers of scenes, in their order or as they were planned, and their solutions, in the order in which they end;
     those that the batch engine lacks something for, which have no state, come first.
 
-    dtype: of the factors. slots: most scenes at once. least: scenes of a pattern below which it is merged with others.
+    dtype: of the factors. slots: most scenes at once. share: whether scenes of some patterns are put into a larger one.
     memory: [bytes] to use. use: where calls are counted.
     """
     plans = [each if isinstance(each, Planned) else Planned.of((k, each)) for k, each in enumerate(scenes)]
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
-    shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), least)
-    groups: dict[tuple[GridPattern, bool], list[Planned]] = {}
-    for plan in plans:
-        if plan.pattern is not None:
-            pattern = shared[plan.pattern]
-            groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
-    for (pattern, _), group in groups.items():  # each pool is gone before the next one is made
-        tree, ready = dissected(pattern), map(PreparedScene.of, group)
+    for (pattern, _), group in pools(plans, share).items():  # each pool is gone before the next one is made
+        some = [replace(plans[k], pattern=pattern) for k in group]
+        tree, ready = dissected(pattern), map(PreparedScene.of, some)
         devices.cleared(device)
         room = Room.of(tree, memory)
         yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use)

@@ -19,7 +19,7 @@ from torch import Tensor
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.indices import index_of, listed
 
-SIZES = (4, 16, 32, 64, 128, 256)  # rows of recordings
+SIZES = (2, 4, 8, 16, 32, 64, 128, 256)  # rows of recordings
 SMALL = 16  # rows of a call that would take hardly less time with fewer
 Outputs = tuple[Tensor, ...]
 Work = Callable[..., Outputs]  # of slots (s,) and numbers (s,); outputs have a row for each

@@ -134,7 +134,7 @@ def test_meshes_embedded_in_one_pattern_with_multifrontal_factors(dtype: torch.d
         for k in range(2)
     ]
     assert len({Planned.of((0, one)).pattern for one in made}) == 1
-    solved = dict(pool.solved(made, dtype=dtype, least=1))
+    solved = dict(pool.solved(made, dtype=dtype, share=False))
     for one, each in zip(made, (solved[0], solved[1]), strict=True):
         assert each.why is None
         for state, expected in zip(each.states, whole(one), strict=True):
@@ -146,7 +146,7 @@ def test_meshes_embedded_in_one_pattern_with_multifrontal_factors(dtype: torch.d
 
 def test_a_plate_that_is_pressed_to_its_middle_has_the_cpu_engines_force() -> None:
     made = replace(scene(thin_plate(), poses([(0, 0, -0.2)]), pad=gel(6, 6, 2.0), edge=0.8), dhat=0.01)
-    ((_, solved),) = pool.solved([made], dtype=torch.float64, least=1)
+    ((_, solved),) = pool.solved([made], dtype=torch.float64, share=False)
     assert solved.why is None
     force, right = (state.traction_force.sum((0, 1)) for state in (solved.states[0], whole(made)[0]))
     assert right[2] < -0.1

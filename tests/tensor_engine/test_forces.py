@@ -130,14 +130,14 @@ def test_each_trial_has_kernel_calls_of_its_own(monkeypatch: pytest.MonkeyPatch)
     """In the one slot, after another scene: a frame takes some four trials."""
     monkeypatch.setattr(pool, "MOST_CALLS", 45)
     made = forced(small(BALL, path((0, 0, -0.3))), [0.3])
-    for _, solved in pool.solved([small(BALL, path((0, 0, -0.2))), made], slots=1, least=1):
+    for _, solved in pool.solved([small(BALL, path((0, 0, -0.2))), made], slots=1, share=False):
         assert solved.why is None
     assert normal_force(solved.states[0]) == pytest.approx(0.3, rel=DEFAULT.force_tol)
 
 
 def test_a_scene_without_a_first_frame_leaves_its_slot() -> None:
     made = forced(small(BALL, HARD), [1.0, 1.0], hopeless=(0, NO_MORE))
-    found = dict(pool.solved([made, small(BALL, path((0, 0, -0.2)))], slots=1, least=1))
+    found = dict(pool.solved([made, small(BALL, path((0, 0, -0.2)))], slots=1, share=False))
     assert found[0] == Solved([], NO_MORE)
     assert found[1].why is None
 

@@ -72,12 +72,20 @@ def test_a_mesh_lies_in_larger_patterns_too():
         grids.embedded(scene, GridPattern((14, 14, 5)))
 
 
-def test_few_scenes_share_a_larger_pattern():
+def test_patterns_are_shared_where_that_saves_time(monkeypatch):
     a, b, c, d = (GridPattern(cells) for cells in ((14, 18, 5), (18, 14, 5), (30, 30, 5), (14, 18, 7)))
-    found = grids.merged({a: 3, b: 4, c: 9, d: 1}, 6)
-    assert found == {a: GridPattern((18, 18, 5)), b: GridPattern((18, 18, 5)), c: c, d: d}
-    assert grids.merged({a: 3, b: 4, c: 9, d: 1}, 1) == {a: a, b: b, c: c, d: d}
-    assert set(grids.merged({a: 3, b: 4, c: 9}, 99).values()) == {c}
+    both = GridPattern((18, 18, 5))
+
+    def shared(**scenes):
+        return grids.merged({{"a": a, "b": b, "c": c, "d": d}[name]: count for name, count in scenes.items()})
+
+    assert shared(a=99, b=99, c=9, d=1) == {a: both, b: both, c: c, d: d}  # other layers have other cells
+    assert shared(a=1, b=1, c=3) == {a: c, b: c, c: c}  # two scenes are few
+    assert shared(a=999, b=999) == {a: a, b: b}
+    e = GridPattern((18, 18, 5))
+    assert grids.merged({a: 1, b: 1, e: 999}) == {a: e, b: e, e: e}  # what holds both is there
+    monkeypatch.setattr(grids, "LARGE", 1)
+    assert shared(a=1, b=1) == {a: a, b: b}
 
 
 @pytest.mark.parametrize(("quartered", "groups"), [(0, 1), (12, 2), (99, 3)])

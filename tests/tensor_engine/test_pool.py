@@ -1,6 +1,7 @@
 """Many scenes in few slots: each has the CPU engine's frames, whichever was in its slot before."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from helpers.presses import gel, scene
 from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.phases import Phase
-from tacgen.tensor_engine import grids, planning, pool, refill, scheduler
+from tacgen.tensor_engine import grids, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
-from tacgen.tensor_engine.planning import Planned, divided
+from tacgen.tensor_engine.planning import Planned, divided, pools
 from tensor_engine.batches import path
 from tensor_engine.test_contact import field
 
@@ -71,7 +72,7 @@ def test_indenters_on_grids_follow_each_other_in_a_slot():
 def test_meshes_of_unlike_sizes_share_one_batch():
     plans = [Planned.of(each) for each in enumerate(SCENES[:3])]
     assert len({int(pool.PreparedScene.of(plan).grid.exists.sum()) for plan in plans}) == 3
-    assert len(set(grids.merged(dict.fromkeys([plan.pattern for plan in plans], 1), 64).values())) == 1
+    assert len(set(grids.merged(dict.fromkeys([plan.pattern for plan in plans], 1)).values())) == 1
 
 
 def test_a_scene_with_other_contact_points_is_refused():
@@ -105,7 +106,7 @@ def test_less_memory_has_room_for_fewer_scenes():
     large, small = pool.Room.of(tree, 6e9), pool.Room.of(tree, 1e6)
     assert small.slots == 1
     middle, wide = pool.Kind(nodes=72), pool.Kind(nodes=300)
-    assert small.fitting(Phase.factor, pool.Kind(), 99) == small.fitting(Phase.contact, middle, 99) == 4
+    assert small.fitting(Phase.factor, pool.Kind(), 99) == small.fitting(Phase.contact, middle, 99) == 2
     assert large.slots > 30
     most = [large.fitting(phase, pool.Kind(), 999) for phase in (Phase.factor, Phase.load, Phase.begin)]
     assert 16 <= most[0] < most[1] < most[2]
@@ -134,12 +135,24 @@ def test_work_and_kept_numbers_count_padded_fronts():
     assert tree.work >= max(group.entries for group in tree.groups)
 
 
-def test_parts_for_processes_have_scenes_of_one_pattern(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_for_processes_have_scenes_of_one_pool(monkeypatch: pytest.MonkeyPatch) -> None:
     small, large = GridPattern((14, 14, 5)), GridPattern((18, 18, 5))
+
+    def parts(patterns: list[GridPattern | None], count: int) -> list[list[int]]:
+        return divided([Planned(k, pattern=pattern) for k, pattern in enumerate(patterns)], count)
+
     patterns = [small, None, large, small, large, small, small, large]
-    assert divided(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]
-    monkeypatch.setattr(planning, "LEAST_SHARED", 1)  # else they share the larger pattern
-    assert divided(patterns, 4) == [[0, 3, 5, 6], [2], [4], [7, 1]]  # a scene takes as the square of its nodes
-    assert divided([small], 4) == [[0]]
-    assert divided([None, None], 4) == [[0, 1]]
-    assert divided([], 4) == []
+    assert parts(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]  # all in the larger one
+    monkeypatch.setattr(grids, "LARGE", 100)  # where a scene takes as the square of its cells
+    assert parts(patterns, 4) == [[0, 3, 5, 6], [2], [4], [7, 1]]
+    assert parts([small], 4) == [[0]]
+    assert parts([None, None], 4) == [[0, 1]]
+    assert parts([], 4) == []
+
+
+def test_scenes_with_other_contact_points_share_pools_of_their_own() -> None:
+    small, large = GridPattern((14, 14, 5)), GridPattern((18, 18, 5))
+    thin = SimpleNamespace(shape=SimpleNamespace(reach=0.1), edge=0.5)
+    plans = [Planned(0, pattern=small), Planned(1, thin, pattern=small), Planned(2, thin, pattern=large)]
+    assert pools(plans) == {(small, False): [0], (large, True): [1, 2]}
+    assert pools(plans, share=False) == {(small, False): [0], (small, True): [1], (large, True): [2]}

@@ -73,12 +73,12 @@ def test_calls_of_any_size_have_the_outputs_of_the_work() -> None:
         once, twice = replays("twice", lambda s, k: (rows[s], k * rows[s]), some, times)
         assert once.tolist() == [float(k) for k in slots]
         assert twice.tolist() == [float(k) ** 2 for k in slots]
-    assert replays.count == 4  # of 4 rows and 32, after the first time
+    assert replays.count == 3  # of 2 rows, 4 and 32, each after the first time
 
 
 def test_sizes_of_recordings_are_few_and_large_enough() -> None:
     sizes = [padded(k) for k in range(1, 500)]
-    assert sorted(set(sizes)) == [4, 16, 32, 64, 128, 256, 512]
+    assert sorted(set(sizes)) == [2, 4, 8, 16, 32, 64, 128, 256, 512]
     assert all(size >= k for k, size in enumerate(sizes, 1))
 
 
@@ -96,7 +96,7 @@ def test_calls_fill_their_recordings_unless_they_are_small() -> None:
         96,
         256,
     ]
-    assert [fitting(99, most) for most in (0, 5, 31, 32, 100)] == [4, 4, 16, 32, 64]
+    assert [fitting(99, most) for most in (0, 5, 31, 32, 100)] == [2, 4, 16, 32, 64]
 
 
 def test_scenes_that_meet_something_rare_are_done_again() -> None:
