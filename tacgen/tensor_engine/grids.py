@@ -23,8 +23,8 @@ SIDE = 3  # cells of a pattern on each side of the patch; most graded meshes hav
 # nearly all (with those at the sides) divide into quarters of equal size, so that fronts need little padding
 SIZES = (8, 12, 16, 20, 24, 32)
 # Cells of a pattern of which each further scene takes as long as a pool takes alone, with the square of the cells: as
-# measured on an H100 with eight processes, where pools of 1620 to 10108 cells took 12 s and 0.08 to 4 s a scene
-LARGE = 17_500
+# fitted to 42 pools of 1 to 272 scenes with 1620 to 7980 cells on an H100 with eight and with twelve processes
+LARGE = 10_000
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Scenes before they are solved, and their division among processes. Without PyTorch, which takes seconds to import."""
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -56,7 +57,7 @@ def divided(plans: Sequence[Planned], parts: int) -> list[list[int]]:
     each = [(grids.time_of(pattern, len(group)), group) for (pattern, _), group in pools(plans).items()]
     whole, out = sum(time for time, _ in each), list[tuple[float, list[int]]]()
     for time, group in each:
-        count = max(1, min(round(parts * time / whole), len(group)))
+        count = min(math.ceil(parts * time / whole), len(group))  # none takes longer than a process's share
         out += [(time / count, group[k::count]) for k in range(count)]
     found = [group for _, group in sorted(out, key=lambda part: -part[0])] or [[]]
     found[-1] += [k for k, plan in enumerate(plans) if plan.pattern is None]

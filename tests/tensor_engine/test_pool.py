@@ -144,7 +144,7 @@ def test_parts_for_processes_have_scenes_of_one_pool(monkeypatch: pytest.MonkeyP
     patterns = [small, None, large, small, large, small, small, large]
     assert parts(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]  # all in the larger one
     monkeypatch.setattr(grids, "LARGE", 100)  # where a scene takes as the square of its cells
-    assert parts(patterns, 4) == [[0, 3, 5, 6], [2], [4], [7, 1]]
+    assert parts(patterns, 4) == [[2], [4], [7], [0, 5], [3, 6, 1]]  # none takes more than a quarter
     assert parts([small], 4) == [[0]]
     assert parts([None, None], 4) == [[0, 1]]
     assert parts([], 4) == []

@@ -74,6 +74,26 @@ def test_the_kernel_with_most_scenes_waiting_is_called():
     assert toy.calls == [(P.factor, 2), (P.load, 3)]
 
 
+def frame(r: random.Random) -> list[Phase]:
+    """The kernels of a frame, about as ordinary scenes ask for them."""
+    out = [P.begin, *[P.renew] * (r.random() < 0.25), P.predict, P.start]
+    for _ in range(r.randint(1, 5)):
+        out += [P.step, *[P.factor] * (r.random() < 0.35), P.load]
+        for _ in range(1 + int(r.lognormvariate(1.0, 0.9))):
+            out += [P.contact, *[P.damp] * (r.random() < 0.04), *[P.halve] * (r.random() < 0.04)]
+        out += [P.search, P.measure]
+    return [*out, P.admit]
+
+
+def test_scenes_do_not_wait_for_kernels_that_few_ask_for() -> None:
+    r, use = random.Random(0), Use()
+    scenes = [[phase for _ in range(r.randint(4, 10)) for phase in frame(r)] for _ in range(400)]
+    assert len(list(run(Toy(40), scenes, use=use))) == 400
+    assert use.mean > 12.4  # 11.8 if the longest queue came first
+    sizes = {phase: use.scenes[phase] / use.calls[phase] for phase in use.calls}
+    assert sizes[P.damp] < sizes[P.load] < sizes[P.contact]
+
+
 def test_a_call_has_scenes_of_one_kind() -> None:
     toy = Toy(3)
     toy.kinds = {0: 1, 1: 2, 2: 1}
