@@ -4,6 +4,7 @@ A scene has one slot. Kernels take the slots of all scenes that wait for them, r
 mechanics.solve_state.SolveState holds of one scene is here a row of `Tensors` and a `Course`.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -34,6 +35,9 @@ Array = np.ndarray
 FLOAT = torch.float64
 GROW = 48  # sizes of WIDE are multiples of it
 CLASS = 162  # nodes of the smallest class of contacts that are solved together; each is twice as large as the last
+# Part of the patch's nodes for which there is room from the start: of 400 ordinary scenes' contacts, most are on less
+# than half of them, the largest on 0.71. Room grows, and recordings are lost, where a contact is wider
+ROOM = 0.75
 KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
 KEPT_FIRST = 6 * KEPT  # of them there is room for so many from the start: growing loses recordings
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
@@ -54,6 +58,11 @@ class Sizes(NamedTuple):
     def unknowns(self) -> int:
         """Unknowns of the condensed nodes."""
         return 3 * self.nodes
+
+
+def room_for(patch: int) -> int:
+    """Unknowns of a contact for which there is room from the start, on a patch of so many nodes."""
+    return 3 * math.ceil(ROOM * patch)
 
 
 def width_class(nodes: int) -> int:
@@ -250,7 +259,8 @@ class Batch:
         B, n, _ = self.X.shape
         _, f, q = self.areas.shape
         m, F = int(self.patch.sum()), self.hexes.weights.shape
-        room = {"k": 3 * m, "a": min(3 * m, KEPT_FIRST)} if self.replays.on else {"k": 0, "a": 0}
+        k = room_for(m) if self.replays.on else 0
+        room = {"k": k, "a": min(k, KEPT_FIRST)}
 
         def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
@@ -298,7 +308,7 @@ class Batch:
         each = [self.courses[row] for row in listed(s)]
         nodes, kept, fewest = (max(c.nodes for c in each), max(c.kept for c in each), min(c.nodes for c in each))
         if self.replays.on:
-            nodes = min(width_class(nodes), self.t.nodes.shape[1])
+            nodes = min(width_class(nodes), max(self.t.S.shape[1] // 3, nodes))
             kept, fewest = min(-(-kept // KEPT) * KEPT, 3 * nodes), 3 * fewest // KEPT * KEPT // 3
         for name, axes in WIDE.items():
             self._widen(name, [3 * nodes if axis == "k" else kept for axis in axes])

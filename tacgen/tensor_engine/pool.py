@@ -13,7 +13,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, replay, scheduler
-from tacgen.tensor_engine.batch import KEPT_FIRST, Batch, PartOfStep, width_class
+from tacgen.tensor_engine.batch import KEPT_FIRST, Batch, PartOfStep, room_for, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
@@ -170,8 +170,11 @@ class Room:
     def of(cls, tree: Dissection, memory: float) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-        a = min(k, KEPT_FIRST)
-        own = 4.0 * (tree.kept + 5 * k**2 + k * a + a**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
+        c = room_for(len(tree.patch))
+        a = min(c, KEPT_FIRST)
+        # Schur complements now and at rest, an inverse; that of the rest of the patch; what couples both
+        dense = 3 * c**2 + k**2 + k * c + c * a + a**2
+        own = 4.0 * (tree.kept + dense) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
         return cls(max(1, int(0.5 * memory / own)), each, 0.15 * memory)

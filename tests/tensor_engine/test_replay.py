@@ -132,8 +132,10 @@ def test_scenes_solved_by_recorded_work_end_where_others_do() -> None:
 
 
 @pytest.mark.usefixtures("watched")
-def test_scenes_in_refilled_slots_end_the_same_by_recorded_work(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("room", [0.75, 0.05])  # contacts have room from the start; rows grow
+def test_scenes_in_refilled_slots_end_the_same_by_recorded_work(monkeypatch: pytest.MonkeyPatch, room: float) -> None:
     scenes, made = SCENES[:3], []
+    monkeypatch.setattr(tacgen.tensor_engine.batch, "ROOM", room)
     wanted = dict(pool.solved(scenes, slots=2, dtype=torch.float64))
 
     def replays(device: torch.device) -> Replays:
