@@ -76,21 +76,23 @@ def run(
     fitting: how many of so many that wait for a kernel and a kind of its work are called. use: where calls are counted.
     last: where no others are left, so many are given up, after some more calls.
     """
-    waiting, free = iter(scenes), list(range(slots.count))[::-1]
-    inside, late, asked = dict[int, Scene](), 0, Counter[tuple[Phase, Hashable]]()
+    waiting, free, late = iter(scenes), list(range(slots.count))[::-1], 0
+    inside, moved = dict[int, Scene](), list[int]()  # slots whose scenes have gone on, and do not wait yet
+    queues, asked = dict[tuple[Phase, Hashable], list[int]](), Counter[tuple[Phase, Hashable]]()
     while True:
         while free and (scene := next(waiting, None)) is not None:
-            inside[free[-1]] = scene
-            slots.enter(free.pop(), scene)
+            moved.append(free.pop())
+            inside[moved[-1]] = scene
+            slots.enter(moved[-1], scene)
         if not inside:
             return
-        queues: dict[tuple[Phase, Hashable], list[int]] = {}
         ended = []
-        for slot in inside:  # in the order in which they came in
+        for slot in moved:
             if (phase := slots.phase(slot)) is None:
                 ended.append(slot)
             else:
                 queues.setdefault((phase, slots.kind(slot)), []).append(slot)
+        moved = []
         for slot in ended:
             yield inside.pop(slot), slots.leave(slot)
             free.append(slot)
@@ -100,9 +102,13 @@ def run(
         if late > GRACE:
             yield from ((inside[slot], slots.leave(slot)) for slot in inside)
             return
-        (phase, kind), queue = max(queues.items(), key=lambda each: len(each[1]) / (1 + asked[each[0]]) ** 0.5)
-        some = queue if fitting is None else queue[: fitting(phase, kind, len(queue))]
+        key = max(queues, key=lambda each: len(queues[each]) / (1 + asked[each]) ** 0.5)
+        queue, (phase, kind) = queues.pop(key), key
+        most = len(queue) if fitting is None else fitting(phase, kind, len(queue))
+        moved = queue[:most]
+        if most < len(queue):
+            queues[key] = queue[most:]
         if use is not None:
-            use.add(phase, len(some))
-        asked[phase, kind] += len(some)
-        slots.advance(phase, some)
+            use.add(phase, len(moved))
+        asked[key] += len(moved)
+        slots.advance(phase, moved)
