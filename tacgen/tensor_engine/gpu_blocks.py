@@ -10,14 +10,23 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+PRECISION = tl.constexpr("tf32x3")  # of products, see tl.dot: three of tensor cores have that of single precision
 LARGEST = 64  # rows of a block
-SIZES = ("at", "n", "block", "row", "column")  # no code of its own for each value that they may have
+SIZES = ("at", "n", "block", "row", "length")  # no code of its own for each value that they may have
 
 
 @triton.jit
-def _loaded(first, i, j, n, row, column):
+def _loaded(first, i, j, n, row):
     """A square of a matrix of n rows, of the unit matrix beyond it."""
-    return tl.load(first + i * row + j * column, mask=(i < n) & (j < n), other=tl.where(i == j, 1.0, 0.0))
+    return tl.load(first + i * row + j, mask=(i < n) & (j < n), other=tl.where(i == j, 1.0, 0.0))
+
+
+@triton.jit
+def _symmetric(first, n, row, SIZE: tl.constexpr):
+    """A square of a symmetric matrix of n rows, of which the lower triangle is read; of the unit matrix beyond it."""
+    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    low = tl.load(first + i * row + j, mask=(i < n) & (j <= i), other=0.0)
+    return tl.where(i == j, tl.where(i < n, low, 1.0), low + tl.trans(low))
 
 
 @triton.jit
@@ -31,102 +40,103 @@ def _picked(M, there, axis: tl.constexpr):
 def _eliminated(M, SIZE: tl.constexpr):
     """L^-1 of symmetric M = L L^T, and its first leading minor that is not positive, 0 if all are.
 
-    Row operations that make M an upper triangle make the unit matrix L^-1, but for the scale. A thread of one warp has
-    a column, and gets the others' numbers of the row that is eliminated, which are those of the column too.
+    Row operations that make M an upper triangle make the unit matrix L^-1, but for the scale; its columns take the
+    place of those eliminated. A thread of one warp has a column, and gets from the others the row that is eliminated,
+    which is the column below as well.
     """
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    X = tl.where(i == j, 1.0, 0.0)
     bad = 0
     for k in tl.static_range(SIZE):
-        along = _picked(M, i == k, 0)
-        down = tl.broadcast_to(along[:, None], (SIZE, SIZE))
-        pivot = _picked(down, i == k, 0)[None, :]
-        bad = tl.where((bad == 0) & ~(tl.min(pivot) > 0), k + 1, bad)
-        factor = down * (1.0 / pivot)
-        M = tl.where(i > k, M - factor * along[None, :], M)
-        before = _picked(X, i == k, 0)[None, :]
-        X = tl.where(i == k, X * (1.0 / tl.sqrt(pivot)), tl.where(i > k, X - factor * before, X))
-    return X, bad
+        down = _picked(M, i == k, 0)
+        pivot = _picked(down, tl.arange(0, SIZE) == k, 0)
+        bad = tl.where((bad == 0) & ~(pivot > 0), k + 1, bad)
+        along = tl.where(tl.arange(0, SIZE) == k, 1.0, down)
+        M = tl.where(i > k, tl.where(j == k, 0.0, M) - down[:, None] * (along * (1.0 / pivot))[None, :], M)
+        M = tl.where(i == k, along[None, :] * (1.0 / tl.sqrt(pivot)), M)
+    return tl.where(j <= i, M, 0.0), bad
 
 
 @triton.jit
-def _block(first, n, row, column, SIZE: tl.constexpr, HALVES: tl.constexpr):
-    """L^-1 of a block of n rows at `first`, or of SIZE and twice as many with HALVES, of which the lower triangle is
-    read: its squares on the diagonal and the one below, and the first leading minor that is not positive."""
+def _block(first, n, row, room, length, SIZE: tl.constexpr, HALVES: tl.constexpr):
+    """L^-1 of a block of n rows at `first`, up to SIZE or with HALVES twice as many, of which the lower triangle is
+    read: its squares on the diagonal and the one below, and the first leading minor that is not positive. At `room`, in
+    rows of this length, there is room for a square: what is written and read again is in columns of threads."""
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    X, bad = _eliminated(_loaded(first, tl.maximum(i, j), tl.minimum(i, j), n, row, column), SIZE)
+    X, bad = _eliminated(_symmetric(first, n, row, SIZE), SIZE)
     Y, low = X, X
     if HALVES:
-        L = tl.load(first + (i + SIZE) * row + j * column, mask=i + SIZE < n, other=0.0)
-        L = tl.dot(L, tl.trans(X), input_precision="ieee")
-        M = _loaded(first, SIZE + tl.maximum(i, j), SIZE + tl.minimum(i, j), n, row, column)
-        Y, after = _eliminated(M - tl.dot(L, tl.trans(L), input_precision="ieee"), SIZE)
+        L = tl.load(first + (i + SIZE) * row + j, mask=i + SIZE < n, other=0.0)
+        L = tl.dot(L, tl.trans(X), input_precision=PRECISION)
+        place, inside = first + (i + SIZE) * row + j + SIZE, (i + SIZE < n) & (j <= i)
+        M = tl.load(place, mask=inside, other=0.0) - tl.dot(L, tl.trans(L), input_precision=PRECISION)
+        tl.store(room + i * length + j, M, mask=inside)
+        tl.debug_barrier()
+        Y, after = _eliminated(_symmetric(room, n - SIZE, length, SIZE), SIZE)
+        tl.debug_barrier()
         bad = tl.where((bad == 0) & (after > 0), after + SIZE, bad)
-        low = -tl.dot(tl.dot(Y, L, input_precision="ieee"), X, input_precision="ieee")
+        low = -tl.dot(tl.dot(Y, L, input_precision=PRECISION), X, input_precision=PRECISION)
     return X, low, Y, bad
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _lower_inverse(A, info, n, block, row, column, SIZE: tl.constexpr, HALVES: tl.constexpr):
+def _lower_inverse(A, info, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
-    X, low, Y, bad = _block(first, n, row, column, SIZE, HALVES)
-    tl.store(first + i * row + j * column, X, mask=(i < n) & (j < n))
+    X, low, Y, bad = _block(first, n, row, first + SIZE * (row + 1), row, SIZE, HALVES)
+    tl.store(first + i * row + j, X, mask=(i < n) & (j < n))
     if HALVES:
-        tl.store(first + (i + SIZE) * row + j * column, low, mask=i + SIZE < n)
-        tl.store(first + i * row + (j + SIZE) * column, low * 0, mask=j + SIZE < n)
-        tl.store(first + (i + SIZE) * row + (j + SIZE) * column, Y, mask=(i + SIZE < n) & (j + SIZE < n))
+        tl.store(first + (i + SIZE) * row + j, low, mask=i + SIZE < n)
+        tl.store(first + i * row + j + SIZE, low * 0, mask=j + SIZE < n)
+        tl.store(first + (i + SIZE) * row + j + SIZE, Y, mask=(i + SIZE < n) & (j + SIZE < n))
     tl.store(info + tl.program_id(0), bad)
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _rows(A, R, info, at, n, block, row, column, SIZE: tl.constexpr):
+def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr):
     """A step of the elimination by blocks: the rows `at` ... at + 2 SIZE of [A | 1], times the inverse factor of their
-    block on the diagonal, into R (b, 2 SIZE, n). Before `at` A has the transformed unit matrix already."""
+    block on the diagonal, into R (b, 2 SIZE, length). Before `at` A has the transformed unit matrix already."""
     which = tl.program_id(0).to(tl.int64)
     start = A + which * block
     i, j = tl.arange(0, SIZE)[:, None], tl.program_id(1) * SIZE + tl.arange(0, SIZE)[None, :]
-    X, low, Y, bad = _block(start + at * (row + column), n - at, row, column, SIZE, True)
-    diagonal = (j >= at) & (j < at + 2 * SIZE)
-    before = j < at
-    first = start + tl.where(before, (at + i) * row + j * column, (at + i) * column + j * row)
+    to = R + which * 2 * SIZE * length + tl.program_id(1) * SIZE
+    X, low, Y, bad = _block(start + at * (row + 1), n - at, row, to, length, SIZE, True)
+    to += i * length + tl.arange(0, SIZE)[None, :]
+    before, diagonal = j < at, (j >= at) & (j < at + 2 * SIZE)
+    first = start + tl.where(before, (at + i) * row + j, at + i + j * row)
     inside = ~diagonal & (j < n)
     upper = tl.load(first, mask=inside & (at + i < n), other=0.0)
-    lower = tl.load(
-        first + tl.where(before, SIZE * row, SIZE * column), mask=inside & (at + SIZE + i < n), other=0.0
-    )
+    lower = tl.load(first + tl.where(before, SIZE * row, SIZE), mask=inside & (at + SIZE + i < n), other=0.0)
     upper = tl.where(diagonal & (j == at + i), 1.0, upper)
     lower = tl.where(diagonal & (j == at + SIZE + i), 1.0, lower)
-    to = R + which * 2 * SIZE * n + i * n + j
-    tl.store(to, tl.dot(X, upper, input_precision="ieee"), mask=j < n)
-    lower = tl.dot(Y, lower, input_precision="ieee") + tl.dot(low, upper, input_precision="ieee")
-    tl.store(to + SIZE * n, lower, mask=j < n)
+    tl.store(to, tl.dot(X, upper, input_precision=PRECISION))
+    lower = tl.dot(Y, lower, input_precision=PRECISION) + tl.dot(low, upper, input_precision=PRECISION)
+    tl.store(to + SIZE * length, lower)
     if tl.program_id(1) == 0:
         known = tl.load(info + which)
         tl.store(info + which, tl.where((known == 0) & (bad > 0), bad + at, known))
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _later_rows(A, R, at, n, block, row, column, STEP: tl.constexpr, DEEP: tl.constexpr):
-    """What the rows R (b, STEP, n) of a step leave of those below; and they take their places, with 0 above the
+def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, DEEP: tl.constexpr):
+    """What the rows R (b, STEP, length) of a step leave of those below; and they take their places, with 0 above the
     diagonal."""
     which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
-    mine, first = at + tile * STEP + tl.arange(0, STEP), R + which * STEP * n
+    mine, first = at + tile * STEP + tl.arange(0, STEP), R + which * STEP * length
     j = tl.program_id(2) * STEP + tl.arange(0, STEP)
-    place = A + which * block + mine[:, None] * row + j[None, :] * column
+    place = A + which * block + mine[:, None] * row + j[None, :]
     inside = (mine < n)[:, None] & (j < n)[None, :]
     if tile == 0:
         there = inside & (j < at + STEP)[None, :]
-        out = tl.load(first + (mine - at)[:, None] * n + j[None, :], mask=there, other=0.0)
+        out = tl.load(first + (mine - at)[:, None] * length + j[None, :], mask=there, other=0.0)
         tl.store(place, out, mask=inside)
     elif tl.program_id(2) * STEP <= at + tile * STEP:
-        left = tl.load(place, mask=inside & ((j < at) | (j >= at + STEP))[None, :], other=0.0)
         out = tl.zeros((STEP, STEP), tl.float32)
         for k in tl.static_range(0, STEP, DEEP):
-            each = first + (k + tl.arange(0, DEEP))[:, None] * n
+            each = first + (k + tl.arange(0, DEEP))[:, None] * length
             P = tl.load(each + mine[None, :], mask=(mine < n)[None, :], other=0.0)
             Q = tl.load(each + j[None, :], mask=(j < n)[None, :], other=0.0)
-            out = tl.dot(tl.trans(P), Q, out, input_precision="tf32x3")
+            out = tl.dot(tl.trans(P), Q, out, input_precision=PRECISION)
+        left = tl.load(place, mask=inside & ((j < at) | (j >= at + STEP))[None, :], other=0.0)
         tl.store(place, left - out, mask=inside)
 
 
@@ -144,24 +154,24 @@ def _inverted(M, SIZE: tl.constexpr):
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _inverse(A, n, block, row, column, SIZE: tl.constexpr, HALVES: tl.constexpr):
+def _inverse(A, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
-    P = _inverted(_loaded(first, i, j, n, row, column), SIZE)
+    P = _inverted(_loaded(first, i, j, n, row), SIZE)
     if HALVES:
-        right = first + i * row + (j + SIZE) * column
-        low = first + (i + SIZE) * row + j * column
+        right = first + i * row + (j + SIZE)
+        low = first + (i + SIZE) * row + j
         Q = tl.load(right, mask=j + SIZE < n, other=0.0)
         R = tl.load(low, mask=i + SIZE < n, other=0.0)
-        below, beside = tl.dot(R, P, input_precision="ieee"), tl.dot(P, Q, input_precision="ieee")
-        T = _loaded(first, i + SIZE, j + SIZE, n, row, column)
-        T = _inverted(T - tl.dot(below, Q, input_precision="ieee"), SIZE)
-        R = -tl.dot(T, below, input_precision="ieee")
-        P = P - tl.dot(beside, R, input_precision="ieee")
+        below, beside = tl.dot(R, P, input_precision=PRECISION), tl.dot(P, Q, input_precision=PRECISION)
+        T = _loaded(first, i + SIZE, j + SIZE, n, row)
+        T = _inverted(T - tl.dot(below, Q, input_precision=PRECISION), SIZE)
+        R = -tl.dot(T, below, input_precision=PRECISION)
+        P = P - tl.dot(beside, R, input_precision=PRECISION)
         tl.store(low, R, mask=i + SIZE < n)
-        tl.store(right, -tl.dot(beside, T, input_precision="ieee"), mask=j + SIZE < n)
+        tl.store(right, -tl.dot(beside, T, input_precision=PRECISION), mask=j + SIZE < n)
         tl.store(right + SIZE * row, T, mask=(i + SIZE < n) & (j + SIZE < n))
-    tl.store(first + i * row + j * column, P, mask=(i < n) & (j < n))
+    tl.store(first + i * row + j, P, mask=(i < n) & (j < n))
 
 
 def lower_inverse(A: Tensor) -> Tensor:
@@ -172,15 +182,15 @@ def lower_inverse(A: Tensor) -> Tensor:
     n, info = A.shape[-1], torch.zeros(len(A), dtype=torch.int32, device=A.device)
     if n <= LARGEST:
         size = 16 if n <= 16 else 32
-        _lower_inverse[(len(A),)](A, info, n, *A.stride(), SIZE=size, HALVES=n > size, num_warps=1)
+        _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1)
         return info
-    R = A.new_empty(len(A), LARGEST, n)
+    tiles = triton.cdiv(n, LARGEST // 2)
+    R = A.new_empty(len(A), LARGEST, LARGEST // 2 * tiles)
+    sizes = n, A.stride(0), A.stride(1), R.shape[2]
     for at in range(0, n, LARGEST):
-        _rows[(len(A), triton.cdiv(n, LARGEST // 2))](
-            A, R, info, at, n, *A.stride(), SIZE=LARGEST // 2, num_warps=1
-        )
+        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=LARGEST // 2, num_warps=1)
         grid = len(A), triton.cdiv(n - at, LARGEST), triton.cdiv(n, LARGEST)
-        _later_rows[grid](A, R, at, n, *A.stride(), STEP=LARGEST, DEEP=32)
+        _later_rows[grid](A, R, at, *sizes, STEP=LARGEST, DEEP=32)
     return info
 
 
@@ -188,7 +198,7 @@ def inverse(A: Tensor) -> None:
     """Overwrite blocks A (b, n, n) by their inverses, without pivots."""
     n = A.shape[-1]
     size = 16 if n <= 16 else 32
-    _inverse[(len(A),)](A, n, *A.stride(), SIZE=size, HALVES=n > size, num_warps=1 if n <= size else 4)
+    _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1 if n <= size else 4)
 
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))
