@@ -45,7 +45,7 @@ class Fronts:
 
 
 @dataclass(frozen=True)
-class _Group:
+class FrontGroup:
     """Fronts of a level that are one batch: nodes own (t, w) and bound (t, m), the number of all nodes where padded;
     rows (t, arity): where a child's vectors begin in those of the level below; at, row: where the fronts' own updates
     and vectors begin in those of their level."""
@@ -88,8 +88,8 @@ class Multifrontal:
     def _small(self, numbers: Array) -> Tensor:
         return self._index(numbers.astype(np.int32))
 
-    def _groups(self, level: Level, below: Level | None, entries: "_Entries") -> list[_Group]:
-        out, at, row = list[_Group](), 0, 0
+    def _groups(self, level: Level, below: Level | None, entries: "_Entries") -> list[FrontGroup]:
+        out, at, row = list[FrontGroup](), 0, 0
         for group in level.groups:
             (t, m), nodes = group.bound.shape, np.concatenate([group.own, group.bound], 1)
             w, children = group.own.shape[1], level.arity * group.fronts[:, None] + np.arange(level.arity)
@@ -100,7 +100,7 @@ class Multifrontal:
                 self._small(places[None]), self._index(first), self._index(length), self._small(number), w
             )  # fmt: skip
             own, bound = (self._index(np.where(part < 0, self.nodes, part)) for part in (group.own, group.bound))
-            out.append(_Group(fronts, own, bound, self._index(rows), at, row))
+            out.append(FrontGroup(fronts, own, bound, self._index(rows), at, row))
             at, row = at + 9 * t * m**2, row + t * m
         return out
 
@@ -155,18 +155,11 @@ class Multifrontal:
         b, each = self._padded(g), iter(panels)
         y, below = torch.zeros_like(b), b.new_empty(len(b), 0, 3)
         for level in self.levels:
-            last = level[-1]
-            updates = b.new_empty(len(b), last.row + last.bound.numel(), 3)
+            updates = b.new_empty(len(b), level[-1].row + level[-1].bound.numel(), 3)
             for group in level:
-                panel, (t, w, m) = next(each), group.fronts.sizes
-                carried = _carried(group, below)
-                own = (b[:, group.own] + carried[:, :, : w // 3]).view(-1, t, w)
-                solved = slot_times(panel.inverse, slots, own)
-                y[:, group.own.view(-1)] = solved.view(len(b), -1, 3)
-                left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, solved).view(-1, t, m // 3, 3)
-                updates[:, group.row : group.row + group.bound.numel()] = left.flatten(1, 2)
+                forward(group, next(each), slots, b, below, y, updates)
             below = updates
-        y[:, self.patch] = b[:, self.patch] + _carried(self.root, below)[:, 0]
+        forward(self.root, None, slots, b, below, y, below)
         return y[:, :-1]
 
     def backward(self, panels: list[Panel], slots: Tensor, y: Tensor, u: Tensor) -> Tensor:
@@ -175,10 +168,7 @@ class Multifrontal:
         x = torch.zeros_like(y)
         x[:, self.patch] = u.to(self.dtype).view(len(y), -1, 3)
         for group, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
-            t, w, m = group.fronts.sizes
-            bound = x[:, group.bound].view(-1, t, m)
-            q = y[:, group.own].view(-1, t, w) - slot_times(panel.below, slots, bound, True)
-            x[:, group.own.view(-1)] = slot_times(panel.inverse, slots, q, True).view(len(y), -1, 3)
+            backward(group, panel, slots, y, x)
         return x[:, :-1]
 
     def _padded(self, x: Tensor) -> Tensor:
@@ -195,6 +185,10 @@ def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
     """The own columns (B, t, w + m, w) of fronts before elimination, of the matrix's entries (B, numbers) and the updates
     (B, numbers) of the level below; where there are no others, so m = 0, the whole symmetric matrices."""
     t, w, m = fronts.sizes
+    if fused(data):
+        from tacgen.tensor_engine import gpu_fronts
+
+        return gpu_fronts.assembled(fronts, data, below)
     out = _summed(fronts, below, 0, w)
     if fronts.entries is not None:
         i = torch.arange(3, device=out.device)
@@ -213,6 +207,10 @@ def eliminate(
     Returns the largest leading minor (B,) that is not positive, 0 where all are.
     """
     t, w, m = fronts.sizes
+    if fused(data):
+        from tacgen.tensor_engine import gpu_fronts
+
+        return gpu_fronts.eliminate(fronts, data, below, panel, slots, updates, whole)
     columns = assembled(fronts, data, below).flatten(0, 1)
     inverse = columns[:, :w].contiguous()
     info = invert_factor(inverse)
@@ -300,7 +298,39 @@ def _subtract_square(U: Tensor, L: Tensor) -> None:
         U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
 
 
-def _carried(group: _Group, below: Tensor) -> Tensor:
+def forward(
+    group: FrontGroup, panel: Panel | None, slots: Tensor, b: Tensor, below: Tensor, y: Tensor, updates: Tensor
+) -> None:
+    """Vectors b (B, n + 1, 3) with what the children add, from those of the level below (B, rows, 3): L^-1 of them into
+    y at the own nodes, and what is left of the others into updates. Without a panel, as for the patch, into y."""
+    if fused(b):
+        from tacgen.tensor_engine import gpu_substitution
+
+        return gpu_substitution.forward(group, panel, slots, b, below, y, updates)
+    t, w, m = group.fronts.sizes
+    carried = _carried(group, below)
+    own = (b[:, group.own] + carried[:, :, : w // 3]).view(-1, t, w)
+    if panel is not None:
+        own = slot_times(panel.inverse, slots, own)
+        left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, own).view(-1, t, m // 3, 3)
+        updates[:, group.row : group.row + group.bound.numel()] = left.flatten(1, 2)
+    y[:, group.own.view(-1)] = own.view(len(b), -1, 3)
+    return None
+
+
+def backward(group: FrontGroup, panel: Panel, slots: Tensor, y: Tensor, x: Tensor) -> None:
+    """x (B, n + 1, 3) at the own nodes of fronts from y and x at the others; y may change."""
+    if fused(y):
+        from tacgen.tensor_engine import gpu_substitution
+
+        return gpu_substitution.backward(group, panel, slots, y, x)
+    t, w, m = group.fronts.sizes
+    q = y[:, group.own].view(-1, t, w) - slot_times(panel.below, slots, x[:, group.bound].view(-1, t, m), True)
+    x[:, group.own.view(-1)] = slot_times(panel.inverse, slots, q, True).view(len(y), -1, 3)
+    return None
+
+
+def _carried(group: FrontGroup, below: Tensor) -> Tensor:
     """The sum (B, t, w + m, 3) that the children of fronts add to vectors, of the updates (B, rows, 3) of the level
     below."""
     places = group.fronts.places[0]
