@@ -82,8 +82,8 @@ class Condensed:
         return (torch.arange(self._k, device=self.solver.device) < self._inner[slots]).to(self.solver.dtype)
 
     def _divided(self, slots: Tensor, whole: Tensor, nodes: Tensor, fewest: int) -> tuple[Tensor, Tensor]:
-        """The patch's stiffness (s, k, k) condensed to nodes (s, m), at least `fewest` of each, and kept: S (s, 3m, 3m),
-        and leading minors (s,) that are not positive, 0 if all are. The patch is one front, in each scene's order."""
+        """The patch's stiffness (s, k, k) condensed to nodes (s, m), at least `fewest` of each, and kept: S (s, 3m, 3m)
+        and leading minors (s,) that are not positive, 0 if all are. The patch is a front, in each scene's order."""
         p, local = self._k // 3, self._local[nodes]
         apart = torch.zeros((len(nodes), p + 1), dtype=torch.int8, device=nodes.device).scatter_(1, local, 1)[:, :p]
         order, inner = torch.argsort(apart, dim=1, stable=True), p - apart.sum(1, keepdim=True, dtype=torch.int64)
@@ -98,7 +98,7 @@ class Condensed:
         outer = torch.clamp(3 * local[:, :, None] + i, max=self._k).flatten(1)
         self._outer[slots] = torch.nn.functional.pad(outer, (0, self._outer.shape[1] - outer.shape[1]), value=self._k)
         self._order[slots], self._inner[slots] = (3 * order[:, :, None] + i).flatten(1), 3 * inner
-        return S[:, 0], info
+        return S[:, 0], info[:, 0]
 
     def _numbers(self, *shape: int) -> Tensor:
         return torch.zeros(shape, dtype=torch.int64, device=self.solver.device)

@@ -31,7 +31,7 @@ def _symmetric(first, n, row, SIZE: tl.constexpr):
 
 @triton.jit
 def _picked(M, there, axis: tl.constexpr):
-    """The only number along an axis that is there: of integers, so that a row in one thread's registers is just read."""
+    """The only number along an axis that is there: in integers, where adding 0 is nothing that a compiler must do."""
     numbers = tl.where(there, M.to(tl.int32, bitcast=True), 0)
     return tl.sum(numbers, axis).to(tl.float32, bitcast=True)
 
@@ -112,7 +112,7 @@ def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr):
     lower = tl.dot(Y, lower, input_precision=PRECISION) + tl.dot(low, upper, input_precision=PRECISION)
     tl.store(to + SIZE * length, lower)
     if tl.program_id(1) == 0:
-        known = tl.load(info + which)
+        known = tl.load(info + which, mask=at > 0, other=0)
         tl.store(info + which, tl.where((known == 0) & (bad > 0), bad + at, known))
 
 
@@ -179,7 +179,7 @@ def lower_inverse(A: Tensor) -> Tensor:
 
     Returns the leading minors (b,) that are not positive, 0 where a matrix is positive definite.
     """
-    n, info = A.shape[-1], torch.zeros(len(A), dtype=torch.int32, device=A.device)
+    n, info = A.shape[-1], torch.empty(len(A), dtype=torch.int32, device=A.device)
     if n <= LARGEST:
         size = 16 if n <= 16 else 32
         _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import torch
 import triton
 import triton.language as tl
 from torch import Tensor
@@ -19,7 +18,22 @@ if TYPE_CHECKING:
 
 TILE, DEEP = 64, 32  # rows and columns of a product that a program computes, and columns that it multiplies at once
 PRECISION = "tf32x3"  # of products, see tl.dot: three products of tensor cores give that of single precision
-SIZES = ("pairs", "size", "numbers", "apart", "t", "w", "m", "n", "length", "beyond", "slot", "row", "to_slot", "to_row")
+SIZES = (
+    "pairs",
+    "size",
+    "numbers",
+    "apart",
+    "t",
+    "w",
+    "m",
+    "n",
+    "length",
+    "beyond",
+    "slot",
+    "row",
+    "to_slot",
+    "to_row",
+)
 
 
 @triton.jit(do_not_specialize=SIZES)
@@ -69,7 +83,15 @@ def _assembled(
     column = tl.program_id(2) * COLUMNS + tl.arange(0, COLUMNS)
     if WHOLE or (tl.program_id(1) + 1) * ROWS > tl.program_id(2) * COLUMNS:
         out = _summed(
-            BELOW + scene * size, PLACES + scene * apart + front * ARITY * n, FIRST, LENGTH, front, n, row, column, ARITY
+            BELOW + scene * size,
+            PLACES + scene * apart + front * ARITY * n,
+            FIRST,
+            LENGTH,
+            front,
+            n,
+            row,
+            column,
+            ARITY,
         )
         inside = (row < 3 * n)[:, None] & (column < 3 * w)[None, :]
         if ENTRIES:
@@ -103,10 +125,10 @@ def _kept(
         each = tl.arange(0, DEEP)
         for k in tl.range(0, tl.minimum((tl.program_id(2) + 1) * TILE, w), DEEP):
             j = k + each
-            G = tl.load(
-                first + (w + i[:, None]) * w + j[None, :], mask=(i < m)[:, None] & (j < w)[None, :], other=0.0
+            G = tl.load(first + (w + i[:, None]) * w + j[None, :], mask=(i < m)[:, None] & (j < w)[None, :], other=0.0)
+            X = tl.load(
+                first + column[:, None] * w + j[None, :], mask=(column < w)[:, None] & (j < w)[None, :], other=0.0
             )
-            X = tl.load(first + column[:, None] * w + j[None, :], mask=(column < w)[:, None] & (j < w)[None, :], other=0.0)
             out = tl.dot(G, tl.trans(X), out, input_precision=PRECISION)
         at = BELOW + kept * to_slot + front * beyond * to_row + i[:, None] * to_row + column[None, :]
         tl.store(at, out, mask=(i < beyond)[:, None] & (column < length)[None, :])
@@ -131,14 +153,22 @@ def _left(
             B = tl.load(first + j[:, None] * row + c[None, :], mask=(j < m)[:, None] & (c < w)[None, :], other=0.0)
             square = tl.dot(A, tl.trans(B), square, input_precision=PRECISION)
         out = _summed(
-            BELOW + scene * size, PLACES + scene * apart + front * ARITY * n, FIRST, LENGTH, front, n, w + i, w + j, ARITY
+            BELOW + scene * size,
+            PLACES + scene * apart + front * ARITY * n,
+            FIRST,
+            LENGTH,
+            front,
+            n,
+            w + i,
+            w + j,
+            ARITY,
         )
         out -= square
-        inside = (i < m)[:, None] & (j < m)[None, :]
+        lower = (i < m)[:, None] & (j[None, :] <= i[:, None])
         to = OUT + scene * length + front * m * m
-        tl.store(to + i[:, None] * m + j[None, :], out, mask=inside)
-        if WHOLE and tl.program_id(2) < tl.program_id(1):
-            tl.store(to + i[:, None] + j[None, :] * m, out, mask=inside)
+        tl.store(to + i[:, None] * m + j[None, :], out, mask=lower)
+        if WHOLE:
+            tl.store(to + i[:, None] + j[None, :] * m, out, mask=lower)
 
 
 def entries(elements: Tensor, parts: Tensor, diagonal: Tensor) -> Tensor:
@@ -146,7 +176,7 @@ def entries(elements: Tensor, parts: Tensor, diagonal: Tensor) -> Tensor:
     pairs, many = len(parts), 32
     out = elements.new_empty(len(elements), pairs + 1, 9)
     _entries[(triton.cdiv(pairs + 1, many), len(elements))](
-        elements, parts, diagonal, out, pairs, elements[0].numel(), MANY=many
+        elements.contiguous(), parts, diagonal, out, pairs, elements[0].numel(), MANY=many
     )
     return out
 
@@ -189,4 +219,4 @@ def eliminate(
             *sources, slots, L, updates, below.shape[1], apart, t, w, m, n, updates.stride(0), L.shape[2], L.stride(0),
             L.stride(2), ARITY=arity, WHOLE=whole, PRECISION=PRECISION, TILE=TILE, DEEP=DEEP,
         )  # fmt: skip
-    return info.view(batch, t).amax(1)
+    return info.view(batch, t)

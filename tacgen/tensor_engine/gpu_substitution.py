@@ -97,7 +97,9 @@ def _turned(
     for k in tl.range(start, rows, LONG):
         j = k + each
         A = tl.load(first + j[:, None] * w, mask=(j < rows)[:, None] & (column < w)[None, :], other=0.0)
-        out += tl.sum(A * _at_nodes(X + 3 * scene * (nodes + 1), NODES + front * (rows // 3), j, j < rows, nodes)[:, None], 0)
+        out += tl.sum(
+            A * _at_nodes(X + 3 * scene * (nodes + 1), NODES + front * (rows // 3), j, j < rows, nodes)[:, None], 0
+        )
     node = tl.load(OWN + front * (w // 3) + column // 3, mask=column < w, other=nodes)
     at = 3 * (scene * (nodes + 1) + node) + column % 3
     if LESS:
@@ -131,5 +133,18 @@ def backward(group: FrontGroup, panel: Panel, slots: Tensor, y: Tensor, x: Tenso
         panel.below, slots, group.bound, x, group.own, y, y, t, m, w, nodes, panel.below.stride(0), LESS=True, **sizes
     )
     _turned[grid](
-        panel.inverse, slots, group.own, y, group.own, y, x, t, w, w, nodes, panel.inverse.stride(0), LESS=False, **sizes
+        panel.inverse,
+        slots,
+        group.own,
+        y,
+        group.own,
+        y,
+        x,
+        t,
+        w,
+        w,
+        nodes,
+        panel.inverse.stride(0),
+        LESS=False,
+        **sizes,
     )

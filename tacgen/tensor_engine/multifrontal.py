@@ -127,8 +127,7 @@ class Multifrontal:
         positive definite away from it; the numbers of those mean nothing.
         """
         data, each = data.to(self.dtype).reshape(len(data), -1), iter(panels)
-        bad = torch.zeros(len(data), dtype=torch.int32, device=self.device)
-        below = data.new_empty(len(data), 0)
+        bad, below = list[Tensor](), data.new_empty(len(data), 0)
         for level in self.levels:
             last = level[-1]
             t, _, m = last.fronts.sizes
@@ -136,9 +135,9 @@ class Multifrontal:
             for group in level:
                 t, _, m = group.fronts.sizes
                 out = updates[:, group.at : group.at + t * m**2].view(-1, t, m, m)
-                bad = torch.maximum(bad, eliminate(group.fronts, data, below, next(each), slots, out))
+                bad.append(eliminate(group.fronts, data, below, next(each), slots, out))
             below = updates
-        return assembled(self.root.fronts, data, below)[:, 0], bad > 0
+        return assembled(self.root.fronts, data, below)[:, 0], torch.cat(bad, 1).any(1)
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
@@ -178,12 +177,12 @@ class Multifrontal:
 
 def fused(x: Tensor) -> bool:
     """Whether Triton's kernels do the work on such numbers."""
-    return x.is_cuda and x.dtype == torch.float32
+    return bool(x.is_cuda) and x.dtype == torch.float32
 
 
 def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
-    """The own columns (B, t, w + m, w) of fronts before elimination, of the matrix's entries (B, numbers) and the updates
-    (B, numbers) of the level below; where there are no others, so m = 0, the whole symmetric matrices."""
+    """The own columns (B, t, w + m, w) of fronts before elimination, of the matrix's entries (B, numbers) and the
+    updates (B, numbers) of the level below; where there are no others, so m = 0, the whole symmetric matrices."""
     t, w, m = fronts.sizes
     if fused(data):
         from tacgen.tensor_engine import gpu_fronts
@@ -204,7 +203,7 @@ def eliminate(
     """Eliminate the own unknowns of fronts: their factors into slots (B,) of a panel, which may be larger and is then 0
     beyond them, and what is left of the other rows into updates (B, t, m, m): the lower triangle, or if `whole` both.
 
-    Returns the largest leading minor (B,) that is not positive, 0 where all are.
+    Returns the leading minor of each (B, t) that is not positive, 0 where it is positive definite.
     """
     t, w, m = fronts.sizes
     if fused(data):
@@ -221,7 +220,7 @@ def eliminate(
     left = _summed(fronts, below, w, w + m).flatten(0, 1)
     _subtract_square(left, L)
     updates.copy_((_mirrored(left) if whole else left).view(updates.shape))
-    return info.view(-1, t).amax(1)
+    return info.view(-1, t)
 
 
 def _mirrored(A: Tensor) -> Tensor:
@@ -339,9 +338,8 @@ def _carried(group: FrontGroup, below: Tensor) -> Tensor:
 
 
 def _children(nodes: Array, children: Array, below: Level | None) -> tuple[Array, Array, Array, Array]:
-    """For fronts with rows of nodes (t, r) and the numbers (t, arity) of their children: the places (t, arity, r), first
-    numbers, lengths of rows and first rows of vectors (t, arity) of Fronts; one child without any rows on the lowest
-    level."""
+    """For fronts with rows of nodes (t, r) and the numbers (t, arity) of their children: the places (t, arity, r),
+    first numbers, lengths of rows and first rows of vectors (t, arity); on the lowest level one child without rows."""
     if below is None:
         none = np.zeros((len(nodes), 1), int)
         return np.full((len(nodes), 1, nodes.shape[1]), -1), none, none, none
@@ -369,8 +367,8 @@ def _places(rows: Array, bound: Array) -> Array:
 class _Entries:
     """The lower triangle of a matrix by pairs of nodes: its rows are eliminated no earlier than its columns.
 
-    row, column (pairs,): nodes. parts (pairs, 8): where the block begins in the tangent (e, 24, 24) of each element that
-    has it, padded with -1. diagonal (pairs,): whether a node is paired with itself.
+    row, column (pairs,): nodes. parts (pairs, 8): where the block begins in the tangents (e, 24, 24) of each element
+    that has it, padded with -1. diagonal (pairs,): whether a node is paired with itself.
     """
 
     def __init__(self, tree: Dissection) -> None:
