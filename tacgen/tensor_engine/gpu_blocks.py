@@ -11,7 +11,8 @@ import triton.language as tl
 from torch import Tensor
 
 PRECISION = tl.constexpr("tf32x3")  # of products, see tl.dot: three of tensor cores have that of single precision
-LARGEST = 64  # rows of a block
+LARGEST = 64  # rows of a matrix that one program inverts, and of a tile of a larger one
+STEP = 64  # rows of a larger one that are eliminated at once: 32 or 64
 SIZES = ("at", "n", "block", "row", "length")  # no code of its own for each value that they may have
 
 
@@ -92,64 +93,68 @@ def _lower_inverse(A, info, n, block, row, SIZE: tl.constexpr, HALVES: tl.conste
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr):
-    """A step of the elimination by blocks: the rows `at` ... at + 2 SIZE of [A | 1], times the inverse factor of their
-    block on the diagonal, into R (b, 2 SIZE, length). Before `at` A has the transformed unit matrix already."""
+def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr, HALVES: tl.constexpr):
+    """A step of the elimination by blocks: rows of [A | 1] from `at` on, SIZE or with HALVES twice as many, times the
+    inverse factor of their block on the diagonal, into R (b, rows, length). Before `at` A has the transformed unit
+    matrix already."""
+    STEP: tl.constexpr = 2 * SIZE if HALVES else SIZE
     which = tl.program_id(0).to(tl.int64)
     start = A + which * block
     i, j = tl.arange(0, SIZE)[:, None], tl.program_id(1) * SIZE + tl.arange(0, SIZE)[None, :]
-    to = R + which * 2 * SIZE * length + tl.program_id(1) * SIZE
-    X, low, Y, bad = _block(start + at * (row + 1), n - at, row, to, length, SIZE, True)
+    to = R + which * STEP * length + tl.program_id(1) * SIZE
+    X, low, Y, bad = _block(start + at * (row + 1), n - at, row, to, length, SIZE, HALVES)
     to += i * length + tl.arange(0, SIZE)[None, :]
-    before, diagonal = j < at, (j >= at) & (j < at + 2 * SIZE)
+    before, inside = j < at, ((j < at) | (j >= at + STEP)) & (j < n)
     first = start + tl.where(before, (at + i) * row + j, at + i + j * row)
-    inside = ~diagonal & (j < n)
     upper = tl.load(first, mask=inside & (at + i < n), other=0.0)
-    lower = tl.load(first + tl.where(before, SIZE * row, SIZE), mask=inside & (at + SIZE + i < n), other=0.0)
-    upper = tl.where(diagonal & (j == at + i), 1.0, upper)
-    lower = tl.where(diagonal & (j == at + SIZE + i), 1.0, lower)
+    upper = tl.where(j == at + i, 1.0, upper)
     tl.store(to, tl.dot(X, upper, input_precision=PRECISION))
-    lower = tl.dot(Y, lower, input_precision=PRECISION) + tl.dot(low, upper, input_precision=PRECISION)
-    tl.store(to + SIZE * length, lower)
+    if HALVES:
+        lower = tl.load(first + tl.where(before, SIZE * row, SIZE), mask=inside & (at + SIZE + i < n), other=0.0)
+        lower = tl.where(j == at + SIZE + i, 1.0, lower)
+        lower = tl.dot(Y, lower, input_precision=PRECISION) + tl.dot(low, upper, input_precision=PRECISION)
+        tl.store(to + SIZE * length, lower)
     if tl.program_id(1) == 0:
         known = tl.load(info + which, mask=at > 0, other=0)
         tl.store(info + which, tl.where((known == 0) & (bad > 0), bad + at, known))
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, DEEP: tl.constexpr):
+def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.constexpr):
     """What the rows R (b, STEP, length) of a step leave of those below; and they take their places, with 0 above the
     diagonal."""
     which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
-    mine, first = at + tile * STEP + tl.arange(0, STEP), R + which * STEP * length
-    j = tl.program_id(2) * STEP + tl.arange(0, STEP)
-    place = A + which * block + mine[:, None] * row + j[None, :]
-    inside = (mine < n)[:, None] & (j < n)[None, :]
+    first, j = R + which * STEP * length, tl.program_id(2) * TILE + tl.arange(0, TILE)
     if tile == 0:
-        there = inside & (j < at + STEP)[None, :]
-        out = tl.load(first + (mine - at)[:, None] * length + j[None, :], mask=there, other=0.0)
-        tl.store(place, out, mask=inside)
-    elif tl.program_id(2) * STEP <= at + tile * STEP:
-        out = tl.zeros((STEP, STEP), tl.float32)
-        for k in tl.static_range(0, STEP, DEEP):
-            each = first + (k + tl.arange(0, DEEP))[:, None] * length
-            P = tl.load(each + mine[None, :], mask=(mine < n)[None, :], other=0.0)
+        i = tl.arange(0, STEP)
+        there = (j < tl.minimum(at + STEP, n))[None, :] & (at + i < n)[:, None]
+        out = tl.load(first + i[:, None] * length + j[None, :], mask=there, other=0.0)
+        place = A + which * block + (at + i)[:, None] * row + j[None, :]
+        tl.store(place, out, mask=(at + i < n)[:, None] & (j < n)[None, :])
+    elif tl.program_id(2) * TILE < at + STEP + tile * TILE:
+        i = at + STEP + (tile - 1) * TILE + tl.arange(0, TILE)
+        out = tl.zeros((TILE, TILE), tl.float32)
+        for k in tl.static_range(0, STEP, 32):
+            each = first + (k + tl.arange(0, 32))[:, None] * length
+            P = tl.load(each + i[None, :], mask=(i < n)[None, :], other=0.0)
             Q = tl.load(each + j[None, :], mask=(j < n)[None, :], other=0.0)
             out = tl.dot(tl.trans(P), Q, out, input_precision=PRECISION)
+        place = A + which * block + i[:, None] * row + j[None, :]
+        inside = (i < n)[:, None] & (j < n)[None, :]
         left = tl.load(place, mask=inside & ((j < at) | (j >= at + STEP))[None, :], other=0.0)
         tl.store(place, left - out, mask=inside)
 
 
 @triton.jit
-def _inverted(M, SIZE: tl.constexpr):
-    """M^-1 by Gauss-Jordan elimination in place, without pivots."""
-    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    for k in range(SIZE):
-        along = tl.sum(tl.where(i == k, M, 0.0), 0)[None, :]
-        down = tl.sum(tl.where(j == k, M, 0.0), 1)[:, None]
-        pivot = tl.sum(tl.where(j == k, along, 0.0), 1)[:, None]
-        along = tl.where(j == k, 1.0, along) / pivot
-        M = tl.where(i == k, along, tl.where(j == k, 0.0, M) - down * along)
+def _inverted(M, N, SIZE: tl.constexpr):
+    """M^-1 by Gauss-Jordan elimination in place, without pivots; N = M^T has the columns where a thread has them."""
+    i, j, each = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :], tl.arange(0, SIZE)
+    for k in tl.static_range(SIZE):
+        along, down = _picked(M, i == k, 0), _picked(N, i == k, 0)
+        pivot = _picked(along, each == k, 0)
+        along = tl.where(each == k, 1.0, along) / pivot
+        M = tl.where(i == k, along[None, :], tl.where(j == k, 0.0, M) - down[:, None] * along[None, :])
+        N = tl.where(i > k, tl.where(j == k, 0.0, N) - along[:, None] * tl.where(each == k, -1.0, down)[None, :], N)
     return M
 
 
@@ -157,21 +162,27 @@ def _inverted(M, SIZE: tl.constexpr):
 def _inverse(A, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
-    P = _inverted(_loaded(first, i, j, n, row), SIZE)
-    if HALVES:
-        right = first + i * row + (j + SIZE)
-        low = first + (i + SIZE) * row + j
-        Q = tl.load(right, mask=j + SIZE < n, other=0.0)
-        R = tl.load(low, mask=i + SIZE < n, other=0.0)
-        below, beside = tl.dot(R, P, input_precision=PRECISION), tl.dot(P, Q, input_precision=PRECISION)
-        T = _loaded(first, i + SIZE, j + SIZE, n, row)
-        T = _inverted(T - tl.dot(below, Q, input_precision=PRECISION), SIZE)
-        R = -tl.dot(T, below, input_precision=PRECISION)
-        P = P - tl.dot(beside, R, input_precision=PRECISION)
+    place = first + i * row + j
+    P = _inverted(_loaded(first, i, j, n, row), _loaded(first, j, i, n, row), SIZE)
+    tl.store(place, P, mask=(i < n) & (j < n))
+    if HALVES:  # what is written and read again is in columns of threads, and in no registers meanwhile
+        right, low, last = place + SIZE, place + SIZE * row, first + SIZE * (row + 1)
+        inside = (i + SIZE < n) & (j + SIZE < n)
+        below = tl.dot(tl.load(low, mask=i + SIZE < n, other=0.0), P, input_precision=PRECISION)
+        less = tl.dot(below, tl.load(right, mask=j + SIZE < n, other=0.0), input_precision=PRECISION)
+        tl.store(last + i * row + j, tl.load(last + i * row + j, mask=inside, other=0.0) - less, mask=inside)
+        tl.debug_barrier()
+        tl.store(low, below, mask=i + SIZE < n)
+        T = _inverted(_loaded(last, i, j, n - SIZE, row), _loaded(last, j, i, n - SIZE, row), SIZE)
+        tl.debug_barrier()
+        tl.store(last + i * row + j, T, mask=inside)
+        P, Q = tl.load(place), tl.load(right, mask=j + SIZE < n, other=0.0)
+        beside = tl.dot(P, Q, input_precision=PRECISION)
+        R = -tl.dot(T, tl.load(low, mask=i + SIZE < n, other=0.0), input_precision=PRECISION)
+        tl.store(place, P - tl.dot(beside, R, input_precision=PRECISION))
+        tl.debug_barrier()
         tl.store(low, R, mask=i + SIZE < n)
         tl.store(right, -tl.dot(beside, T, input_precision=PRECISION), mask=j + SIZE < n)
-        tl.store(right + SIZE * row, T, mask=(i + SIZE < n) & (j + SIZE < n))
-    tl.store(first + i * row + j, P, mask=(i < n) & (j < n))
 
 
 def lower_inverse(A: Tensor) -> Tensor:
@@ -184,21 +195,21 @@ def lower_inverse(A: Tensor) -> Tensor:
         size = 16 if n <= 16 else 32
         _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1)
         return info
-    tiles = triton.cdiv(n, LARGEST // 2)
-    R = A.new_empty(len(A), LARGEST, LARGEST // 2 * tiles)
+    tiles = triton.cdiv(n, 32)
+    R = A.new_empty(len(A), STEP, 32 * tiles)
     sizes = n, A.stride(0), A.stride(1), R.shape[2]
-    for at in range(0, n, LARGEST):
-        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=LARGEST // 2, num_warps=1)
-        grid = len(A), triton.cdiv(n - at, LARGEST), triton.cdiv(n, LARGEST)
-        _later_rows[grid](A, R, at, *sizes, STEP=LARGEST, DEEP=32)
+    for at in range(0, n, STEP):
+        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=32, HALVES=STEP > 32, num_warps=1)
+        later = 1 + triton.cdiv(max(n - at - STEP, 0), LARGEST)
+        _later_rows[(len(A), later, triton.cdiv(n, LARGEST))](A, R, at, *sizes, STEP=STEP, TILE=LARGEST)
     return info
 
 
 def inverse(A: Tensor) -> None:
-    """Overwrite blocks A (b, n, n) by their inverses, without pivots."""
+    """Overwrite blocks A (b, n, n), n <= LARGEST, by their inverses, without pivots."""
     n = A.shape[-1]
     size = 16 if n <= 16 else 32
-    _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1 if n <= size else 4)
+    _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1)
 
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))
