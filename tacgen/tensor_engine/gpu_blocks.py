@@ -146,9 +146,10 @@ def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.co
 
 
 @triton.jit
-def _inverted(M, N, SIZE: tl.constexpr):
-    """M^-1 by Gauss-Jordan elimination in place, without pivots; N = M^T has the columns where a thread has them."""
+def _inverted(M, SIZE: tl.constexpr):
+    """M^-1 by Gauss-Jordan elimination in place, without pivots; columns are read from rows of N = M^T."""
     i, j, each = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :], tl.arange(0, SIZE)
+    N = tl.where(i == j, M, tl.trans(M))  # the same; with M in it a compiler gives columns to threads as those of M
     for k in tl.static_range(SIZE):
         along, down = _picked(M, i == k, 0), _picked(N, i == k, 0)
         pivot = _picked(along, each == k, 0)
@@ -163,7 +164,7 @@ def _inverse(A, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
     place = first + i * row + j
-    P = _inverted(_loaded(first, i, j, n, row), _loaded(first, j, i, n, row), SIZE)
+    P = _inverted(_loaded(first, i, j, n, row), SIZE)
     tl.store(place, P, mask=(i < n) & (j < n))
     if HALVES:  # what is written and read again is in columns of threads, and in no registers meanwhile
         right, low, last = place + SIZE, place + SIZE * row, first + SIZE * (row + 1)
@@ -173,7 +174,7 @@ def _inverse(A, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
         tl.store(last + i * row + j, tl.load(last + i * row + j, mask=inside, other=0.0) - less, mask=inside)
         tl.debug_barrier()
         tl.store(low, below, mask=i + SIZE < n)
-        T = _inverted(_loaded(last, i, j, n - SIZE, row), _loaded(last, j, i, n - SIZE, row), SIZE)
+        T = _inverted(_loaded(last, i, j, n - SIZE, row), SIZE)
         tl.debug_barrier()
         tl.store(last + i * row + j, T, mask=inside)
         P, Q = tl.load(place), tl.load(right, mask=j + SIZE < n, other=0.0)
