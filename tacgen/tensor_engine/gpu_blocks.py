@@ -10,7 +10,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-PRECISION = tl.constexpr("tf32x3")  # of products, see tl.dot: three of tensor cores have that of single precision
+PRECISION = tl.constexpr("ieee")  # of products, see tl.dot
 LARGEST = 64  # rows of a matrix that one program inverts, and of a tile of a larger one
 STEP = 64  # rows of a larger one that are eliminated at once: 32 or 64
 SIZES = ("at", "n", "block", "row", "length")  # no code of its own for each value that they may have
