@@ -22,6 +22,7 @@ class Condensed:
     def __init__(self, solver: Multifrontal, capacity: int) -> None:
         self.solver, self.dtype, self._panels = solver, solver.dtype, solver.empty(capacity)
         self._k = k = 3 * len(solver.patch)
+        self._whole = self._numbers(1, 1).int(), self._numbers(1, 1).int() + k
         self._local = torch.full((solver.nodes + 1,), len(solver.patch), device=solver.device)
         self._local[solver.patch] = torch.arange(len(solver.patch), device=solver.device)
         self._order, self._outer = self._numbers(capacity, k), self._numbers(capacity, 0)
@@ -89,8 +90,7 @@ class Condensed:
         order, inner = torch.argsort(apart, dim=1, stable=True), p - apart.sum(1, keepdim=True, dtype=torch.int64)
         place = torch.arange(p, device=nodes.device)
         rows = torch.cat([torch.where(place < inner, order, -2)[:, : p - fewest], torch.where(local < p, local, -2)], 1)
-        one = self._numbers(1, 1)
-        fronts = Fronts(rows[:, None, None].int(), one, one + self._k, None, p - fewest)
+        fronts = Fronts(rows[:, None, None].int(), *self._whole, None, p - fewest)
         S = whole.new_empty(len(nodes), 1, 3 * nodes.shape[1], 3 * nodes.shape[1])
         panel = Panel(self._inverse[:, None], self._coupling[:, None])
         info = eliminate(fronts, whole.new_empty(len(nodes), 0), whole.flatten(1), panel, slots, S, True)

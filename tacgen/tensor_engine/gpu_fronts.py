@@ -57,13 +57,13 @@ def _summed(BELOW, PLACES, FIRST, LENGTH, front, n, row, column, ARITY: tl.const
     """Numbers of fronts of n nodes at rows and columns, of which the later is read as the row: sums of the children's
     updates, and the unit matrix where nodes are padding."""
     i, j = tl.maximum(row[:, None], column[None, :]), tl.minimum(row[:, None], column[None, :])
-    out = tl.zeros(i.shape, tl.float32)
+    PLACES += front * n * (ARITY if ARITY else 1)
+    padding = tl.load(PLACES + row // 3, mask=row < 3 * n, other=-1) == -2
+    out = tl.where((i == j) & padding[:, None], 1.0, 0.0)
     for c in tl.static_range(ARITY):
         places = PLACES + c * n
         down = tl.load(places + row // 3, mask=row < 3 * n, other=-1)
         along = tl.load(places + column // 3, mask=column < 3 * n, other=-1)
-        if c == 0:
-            out = tl.where((i == j) & (down == -2)[:, None], 1.0, out)
         inside = (down >= 0)[:, None] & (along >= 0)[None, :]
         down, along = (3 * down + row % 3)[:, None], (3 * along + column % 3)[None, :]
         first, length = tl.load(FIRST + front * ARITY + c), tl.load(LENGTH + front * ARITY + c)
@@ -84,7 +84,7 @@ def _assembled(
     if WHOLE or (tl.program_id(1) + 1) * ROWS > tl.program_id(2) * COLUMNS:
         out = _summed(
             BELOW + scene * size,
-            PLACES + scene * apart + front * ARITY * n,
+            PLACES + scene * apart,
             FIRST,
             LENGTH,
             front,
@@ -154,7 +154,7 @@ def _left(
             square = tl.dot(A, tl.trans(B), square, input_precision=PRECISION)
         out = _summed(
             BELOW + scene * size,
-            PLACES + scene * apart + front * ARITY * n,
+            PLACES + scene * apart,
             FIRST,
             LENGTH,
             front,
@@ -189,7 +189,7 @@ def _sources(fronts: Fronts, below: Tensor) -> tuple[tuple[Tensor, ...], int]:
 
 def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
     """multifrontal.assembled."""
-    (t, w, m), (_, _, arity, n) = fronts.sizes, fronts.places.shape
+    (t, w, m), n, arity = fronts.sizes, fronts.places.shape[3], fronts.first.shape[1]
     batch, ((at, *sources), apart) = len(data), _sources(fronts, below)
     out, whole = data.new_empty(batch, t, w + m, w), not m
     grid = batch * t, triton.cdiv(w + m, 32), triton.cdiv(w, 64)
@@ -204,7 +204,7 @@ def eliminate(
     fronts: Fronts, data: Tensor, below: Tensor, panel: Panel, slots: Tensor, updates: Tensor, whole: bool
 ) -> Tensor:
     """multifrontal.eliminate."""
-    (t, w, m), (_, _, arity, n) = fronts.sizes, fronts.places.shape
+    (t, w, m), n, arity = fronts.sizes, fronts.places.shape[3], fronts.first.shape[1]
     batch, columns = len(slots), assembled(fronts, data, below).flatten(0, 1)
     info = gpu_blocks.lower_inverse(columns[:, :w])
     X, L = panel.inverse, panel.below

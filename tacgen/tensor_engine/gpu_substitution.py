@@ -111,7 +111,7 @@ def forward(
     group: FrontGroup, panel: Panel | None, slots: Tensor, b: Tensor, below: Tensor, y: Tensor, updates: Tensor
 ) -> None:
     """multifrontal.forward."""
-    (t, w, m), (_, _, arity, _) = group.fronts.sizes, group.fronts.places.shape
+    (t, w, m), arity = group.fronts.sizes, group.rows.shape[1]
     sources, nodes = (below, group.fronts.places, group.rows, group.own), b.shape[1] - 1
     inverse = y if panel is None else panel.inverse
     _solved[(len(b) * t, triton.cdiv(w, ROWS))](

@@ -26,8 +26,9 @@ class Fronts:
     """Where the numbers of fronts (t, w own nodes, m others) come from, of which the lower triangle is summed.
 
     places (b, t, arity, w + m): the row of nodes that each node is in each of the children's updates, -1 where it is in
-    none, -2 where the node is padding and gets the unit matrix; b is 1 where all matrices have the same. first, length
-    (t, arity): where a child's update begins in the updates of the level below, and how long its rows are [numbers].
+    none; in the first, which is there without children too, -2 where the node is padding and gets the unit matrix; b is
+    1 where all matrices have the same. first, length (t, arity): where a child's update begins in the updates of the
+    level below, and how long its rows are [numbers].
     entries (t, w + m, w): the matrix's own blocks, numbers of (pairs + 1), the last of which is 0.
     """
 
@@ -97,10 +98,10 @@ class Multifrontal:
             places[:, 0][nodes < 0] = -2
             number = entries.numbers(nodes[:, :, None], group.own[:, None, :])
             fronts = Fronts(
-                self._small(places[None]), self._index(first), self._index(length), self._small(number), w
+                *map(self._small, (places[None], first, length, number)), w
             )  # fmt: skip
             own, bound = (self._index(np.where(part < 0, self.nodes, part)) for part in (group.own, group.bound))
-            out.append(FrontGroup(fronts, own, bound, self._index(rows), at, row))
+            out.append(FrontGroup(fronts, own, bound, self._small(rows), at, row))
             at, row = at + 9 * t * m**2, row + t * m
         return out
 
@@ -339,9 +340,9 @@ def _carried(group: FrontGroup, below: Tensor) -> Tensor:
 
 def _children(nodes: Array, children: Array, below: Level | None) -> tuple[Array, Array, Array, Array]:
     """For fronts with rows of nodes (t, r) and the numbers (t, arity) of their children: the places (t, arity, r),
-    first numbers, lengths of rows and first rows of vectors (t, arity); on the lowest level one child without rows."""
+    first numbers, lengths of rows and first rows of vectors (t, arity)."""
     if below is None:
-        none = np.zeros((len(nodes), 1), int)
+        none = np.zeros((len(nodes), 0), int)
         return np.full((len(nodes), 1, nodes.shape[1]), -1), none, none, none
     places = np.full((*children.shape, nodes.shape[1]), -1)
     first, length, rows = (np.zeros(children.shape, int) for _ in range(3))

@@ -132,7 +132,7 @@ def test_fronts_of_several_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     both = []
     for device, kernels in (("cpu", False), (DEVICE, True)):
         monkeypatch.setattr(multifrontal, "fused", lambda x, kernels=kernels: kernels)
-        one = torch.zeros(1, 1, dtype=torch.long, device=device)
+        one = torch.zeros(1, 1, dtype=torch.int32, device=device)
         fronts = multifrontal.Fronts(places[:, None, None].to(device), one, one + 3 * nodes, None, w)
         panel = multifrontal.Panel(*(torch.full((3, 1, n, 80), torch.nan, device=device) for n in (80, 90)))
         S = torch.full((2, 1, 69, 69), torch.nan, device=device)
@@ -215,7 +215,7 @@ def test_launches_of_a_factor_and_of_substitutions(monkeypatch: pytest.MonkeyPat
         with counted:
             work()
         counts.append(counted.count)
-    assert [found <= most for found, most in zip(counts, (105, 38, 39), strict=True)] == [True] * 3, counts
+    assert [found <= most for found, most in zip(counts, (103, 38, 39), strict=True)] == [True] * 3, counts
 
 
 def test_factors_condensed_to_nodes_and_substitutions(monkeypatch: pytest.MonkeyPatch) -> None:
