@@ -94,7 +94,7 @@ class Dissection:
         updates = [sum(t * m**2 for t, _, m in level) for level in sizes]
         columns = [max(t * (w + m) * w for t, w, m in level) for level in sizes]
         p = len(self.patch) ** 2
-        return 9 * max(a + b + c for a, b, c in zip([0, *updates], [*updates, p], [*columns, p], strict=True))
+        return int(9 * max(map(sum, zip([0, *updates], [*updates, p], [*columns, p], strict=True))))
 
 
 def _flops(w: int, m: int) -> float:

@@ -121,7 +121,7 @@ def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr, HALVES: tl.
 
 @triton.jit(do_not_specialize=SIZES)
 def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.constexpr):
-    """What the rows R (b, STEP, length) of a step leave of those below; and they take their places, with 0 above the
+    """Subtract the rows R (b, STEP, length) of a step from those below; and they take their places, with 0 above the
     diagonal."""
     which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
     first, j = R + which * STEP * length, tl.program_id(2) * TILE + tl.arange(0, TILE)

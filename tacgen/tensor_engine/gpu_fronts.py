@@ -139,7 +139,7 @@ def _left(
     BELOW, PLACES, FIRST, LENGTH, SLOTS, L, OUT, size, apart, t, w, m, n, length, beyond, slot, row,
     ARITY: tl.constexpr, WHOLE: tl.constexpr, PRECISION: tl.constexpr, TILE: tl.constexpr, DEEP: tl.constexpr,
 ):  # fmt: skip
-    """What is left of the other rows (m, m): the children's sums less L L^T."""
+    """Updates (m, m) of the other rows: the children's sums less L L^T."""
     if tl.program_id(2) <= tl.program_id(1):
         which = tl.program_id(0).to(tl.int64)
         scene, front = which // t, which % t
@@ -182,7 +182,7 @@ def entries(elements: Tensor, parts: Tensor, diagonal: Tensor) -> Tensor:
 
 
 def _sources(fronts: Fronts, below: Tensor) -> tuple[tuple[Tensor, ...], int]:
-    """What `_summed` reads, and how far apart the places of two matrices are."""
+    """Maps and numbers that `_summed` reads, and how far apart the places of two matrices are."""
     places = fronts.places
     return (below, places, fronts.first, fronts.length), 0 if len(places) == 1 else places.stride(0)
 

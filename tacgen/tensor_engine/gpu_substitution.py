@@ -27,7 +27,7 @@ def _at_nodes(X, NODES, number, there, nodes):
 
 @triton.jit
 def _carried(BELOW, PLACES, CHILDREN, number, there, n, ARITY: tl.constexpr):
-    """What the children of a front add at some of its numbers."""
+    """Sums at some numbers of a front, of the children's updates."""
     out = tl.zeros(number.shape, tl.float32)
     for c in tl.static_range(ARITY):
         place = tl.load(PLACES + c * n + number // 3, mask=there, other=-1)
@@ -66,7 +66,7 @@ def _left(
     BELOW, PLACES, CHILDREN, OWN, PANEL, SLOTS, Y, OUT, t, w, m, nodes, size, slot, to, length,
     ARITY: tl.constexpr, ROWS: tl.constexpr, LONG: tl.constexpr,
 ):  # fmt: skip
-    """What the children add to the other unknowns, less L y of the own."""
+    """Updates of the other unknowns: the children's sums less L y of the own."""
     which = tl.program_id(0).to(tl.int64)
     scene, front, n = which // t, which % t, (w + m) // 3
     row, each = tl.program_id(1) * ROWS + tl.arange(0, ROWS), tl.arange(0, LONG)

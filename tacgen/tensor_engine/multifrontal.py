@@ -97,9 +97,8 @@ class Multifrontal:
             places, first, length, rows = _children(nodes, children, below)
             places[:, 0][nodes < 0] = -2
             number = entries.numbers(nodes[:, :, None], group.own[:, None, :])
-            fronts = Fronts(
-                *map(self._small, (places[None], first, length, number)), w
-            )  # fmt: skip
+            where = [self._small(numbers) for numbers in (places[None], first, length, number)]
+            fronts = Fronts(where[0], where[1], where[2], where[3], w)
             own, bound = (self._index(np.where(part < 0, self.nodes, part)) for part in (group.own, group.bound))
             out.append(FrontGroup(fronts, own, bound, self._small(rows), at, row))
             at, row = at + 9 * t * m**2, row + t * m
