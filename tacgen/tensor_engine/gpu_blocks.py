@@ -58,24 +58,34 @@ def _eliminated(M, SIZE: tl.constexpr):
 
 
 @triton.jit
-def _block(first, n, row, room, length, SIZE: tl.constexpr, HALVES: tl.constexpr):
+def _block(first, n, row, room, other, length, SIZE: tl.constexpr, HALVES: tl.constexpr):
     """L^-1 of a block of n rows at `first`, up to SIZE or with HALVES twice as many, of which the lower triangle is
-    read: its squares on the diagonal and the one below, and the first leading minor that is not positive. At `room`, in
-    rows of this length, there is room for a square: what is written and read again is in columns of threads."""
+    read: its squares on the diagonal and the one below, and the first leading minor that is not positive. At `room` and
+    `other`, in rows of this length, there is room for squares."""
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    X, bad = _eliminated(_symmetric(first, n, row, SIZE), SIZE)
-    Y, low = X, X
     if HALVES:
-        L = tl.load(first + (i + SIZE) * row + j, mask=i + SIZE < n, other=0.0)
-        L = tl.dot(L, tl.trans(X), input_precision=PRECISION)
-        place, inside = first + (i + SIZE) * row + j + SIZE, (i + SIZE < n) & (j <= i)
-        M = tl.load(place, mask=inside, other=0.0) - tl.dot(L, tl.trans(L), input_precision=PRECISION)
-        tl.store(room + i * length + j, M, mask=inside)
+        X = tl.zeros((SIZE, SIZE), tl.float32)
+        Y, low, bad, source, stride = X, X, 0, first, row
+        for half in range(2):  # one code for both
+            X = Y
+            Y, minor = _eliminated(_symmetric(source, n - half * SIZE, stride, SIZE), SIZE)
+            bad = tl.where((bad == 0) & (minor > 0), minor + half * SIZE, bad)
+            tl.debug_barrier()
+            if half == 0:
+                L = tl.load(first + (i + SIZE) * row + j, mask=i + SIZE < n, other=0.0)
+                L = tl.dot(L, tl.trans(Y), input_precision=PRECISION)
+                M = tl.load(first + (i + SIZE) * row + j + SIZE, mask=(i + SIZE < n) & (j <= i), other=0.0)
+                M -= tl.dot(L, tl.trans(L), input_precision=PRECISION)
+                tl.store(room + i * length + j, M, mask=(i + SIZE < n) & (j <= i))
+                tl.store(other + i * length + j, L, mask=i + SIZE < n)
+                tl.debug_barrier()
+            source, stride = room, length
+        L = tl.load(other + i * length + j, mask=i + SIZE < n, other=0.0)
         tl.debug_barrier()
-        Y, after = _eliminated(_symmetric(room, n - SIZE, length, SIZE), SIZE)
-        tl.debug_barrier()
-        bad = tl.where((bad == 0) & (after > 0), after + SIZE, bad)
         low = -tl.dot(tl.dot(Y, L, input_precision=PRECISION), X, input_precision=PRECISION)
+    else:
+        X, bad = _eliminated(_symmetric(first, n, row, SIZE), SIZE)
+        Y, low = X, X
     return X, low, Y, bad
 
 
@@ -83,7 +93,7 @@ def _block(first, n, row, room, length, SIZE: tl.constexpr, HALVES: tl.constexpr
 def _lower_inverse(A, info, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
-    X, low, Y, bad = _block(first, n, row, first + SIZE * (row + 1), row, SIZE, HALVES)
+    X, low, Y, bad = _block(first, n, row, first + SIZE * (row + 1), first + SIZE * row, row, SIZE, HALVES)
     tl.store(first + i * row + j, X, mask=(i < n) & (j < n))
     if HALVES:
         tl.store(first + (i + SIZE) * row + j, low, mask=i + SIZE < n)
@@ -102,7 +112,7 @@ def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr, HALVES: tl.
     start = A + which * block
     i, j = tl.arange(0, SIZE)[:, None], tl.program_id(1) * SIZE + tl.arange(0, SIZE)[None, :]
     to = R + which * STEP * length + tl.program_id(1) * SIZE
-    X, low, Y, bad = _block(start + at * (row + 1), n - at, row, to, length, SIZE, HALVES)
+    X, low, Y, bad = _block(start + at * (row + 1), n - at, row, to, to + SIZE * length, length, SIZE, HALVES)
     to += i * length + tl.arange(0, SIZE)[None, :]
     before, inside = j < at, ((j < at) | (j >= at + STEP)) & (j < n)
     first = start + tl.where(before, (at + i) * row + j, at + i + j * row)
@@ -164,24 +174,27 @@ def _inverse(A, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
     place = first + i * row + j
-    P = _inverted(_loaded(first, i, j, n, row), SIZE)
-    tl.store(place, P, mask=(i < n) & (j < n))
-    if HALVES:  # what is written and read again is in columns of threads, and in no registers meanwhile
-        right, low, last = place + SIZE, place + SIZE * row, first + SIZE * (row + 1)
-        inside = (i + SIZE < n) & (j + SIZE < n)
-        below = tl.dot(tl.load(low, mask=i + SIZE < n, other=0.0), P, input_precision=PRECISION)
-        less = tl.dot(below, tl.load(right, mask=j + SIZE < n, other=0.0), input_precision=PRECISION)
-        tl.store(last + i * row + j, tl.load(last + i * row + j, mask=inside, other=0.0) - less, mask=inside)
+    right, low, last = place + SIZE, place + SIZE * row, place + SIZE * (row + 1)
+    inside = (i + SIZE < n) & (j + SIZE < n)
+    for half in range(2 if HALVES else 1):  # one code for both
+        at = half * SIZE
+        P = _inverted(_loaded(first + at * (row + 1), i, j, n - at, row), SIZE)
         tl.debug_barrier()
-        tl.store(low, below, mask=i + SIZE < n)
-        T = _inverted(_loaded(last, i, j, n - SIZE, row), SIZE)
+        tl.store(place + at * (row + 1), P, mask=(at + i < n) & (at + j < n))
+        if HALVES and half == 0:
+            below = tl.dot(tl.load(low, mask=i + SIZE < n, other=0.0), P, input_precision=PRECISION)
+            less = tl.dot(below, tl.load(right, mask=j + SIZE < n, other=0.0), input_precision=PRECISION)
+            tl.store(last, tl.load(last, mask=inside, other=0.0) - less, mask=inside)
+            tl.debug_barrier()
+            tl.store(low, below, mask=i + SIZE < n)
+            tl.debug_barrier()
+    if HALVES:
         tl.debug_barrier()
-        tl.store(last + i * row + j, T, mask=inside)
-        P, Q = tl.load(place), tl.load(right, mask=j + SIZE < n, other=0.0)
-        beside = tl.dot(P, Q, input_precision=PRECISION)
-        R = -tl.dot(T, tl.load(low, mask=i + SIZE < n, other=0.0), input_precision=PRECISION)
+        P, T = tl.load(place), tl.load(last, mask=inside, other=0.0)
+        Q, below = tl.load(right, mask=j + SIZE < n, other=0.0), tl.load(low, mask=i + SIZE < n, other=0.0)
+        tl.debug_barrier()
+        beside, R = tl.dot(P, Q, input_precision=PRECISION), -tl.dot(T, below, input_precision=PRECISION)
         tl.store(place, P - tl.dot(beside, R, input_precision=PRECISION))
-        tl.debug_barrier()
         tl.store(low, R, mask=i + SIZE < n)
         tl.store(right, -tl.dot(beside, T, input_precision=PRECISION), mask=j + SIZE < n)
 
