@@ -9,7 +9,7 @@ import torch
 
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
-pytest.importorskip("triton")
+triton = pytest.importorskip("triton")
 
 from torch.utils._python_dispatch import TorchDispatchMode
 from triton.runtime import interpreter
@@ -42,9 +42,12 @@ DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
 @pytest.fixture(autouse=True)
 def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices."""
+    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices; and
+    products as it knows them."""
     if DEVICE == "cuda":
         return
+    for module in (gpu_blocks, gpu_fronts):
+        monkeypatch.setattr(module, "PRECISION", triton.language.constexpr("ieee"))
 
     def number(end: object) -> int:
         return int(np.ravel(getattr(getattr(end, "handle", end), "data", end))[0])
