@@ -22,11 +22,11 @@ class Condensed:
     def __init__(self, solver: Multifrontal, capacity: int) -> None:
         self.solver, self.dtype, self._panels = solver, solver.dtype, solver.empty(capacity)
         self._k = k = 3 * len(solver.patch)
+        self._three = torch.arange(3, device=solver.device)
         self._whole = self._numbers(1, 1).int(), self._numbers(1, 1).int() + k
         self._local = torch.full((solver.nodes + 1,), len(solver.patch), device=solver.device)
         self._local[solver.patch] = torch.arange(len(solver.patch), device=solver.device)
         self._order, self._outer = self._numbers(capacity, k), self._numbers(capacity, 0)
-        self._inner = self._numbers(capacity, 1)
         self._inverse, self._coupling = self._zeros(capacity, k, k), self._zeros(capacity, 0, k)
 
     def reserve(self, nodes: int) -> bool:
@@ -56,11 +56,9 @@ class Condensed:
         more nodes: g_c - K_co K_oo^-1 g_o."""
         width = 3 * nodes
         y = self.solver.forward(self._panels, slots, g)
-        b, outer = self._of_patch(y), self._outer[slots, :width]
-        solved = slot_times(self._inverse, slots, b.gather(1, self._order[slots]) * self._first(slots))
-        load = torch.nn.functional.pad(b, (0, 1)).gather(1, outer)
-        load = load - slot_times(self._coupling[:, :width], slots, solved)
-        load = torch.where(outer < self._k, load, 0.0)
+        b = torch.nn.functional.pad(self._of_patch(y), (0, 1))
+        solved = slot_times(self._inverse, slots, b.gather(1, self._order[slots]))
+        load = b.gather(1, self._outer[slots, :width]) - slot_times(self._coupling[:, :width], slots, solved)
         y[:, self.solver.patch] = solved.view(len(y), -1, 3)
         return y, load
 
@@ -70,17 +68,12 @@ class Condensed:
         solved, u = self._of_patch(y.to(self.solver.dtype)), u.to(self.solver.dtype)
         q = solved + slot_times(self._coupling[:, : u.shape[1]], slots, u, True)
         inner = -slot_times(self._inverse, slots, q, True)
-        order = torch.where(self._first(slots) > 0, self._order[slots], self._k)
         x = self._zeros(len(u), self._k + 1)
-        x.scatter_(1, order, inner).scatter_(1, self._outer[slots, : u.shape[1]], u)
+        x.scatter_(1, self._order[slots], inner).scatter_(1, self._outer[slots, : u.shape[1]], u)
         return self.solver.backward(self._panels, slots, -y, x[:, :-1])
 
     def _of_patch(self, y: Tensor) -> Tensor:
         return y[:, self.solver.patch].flatten(1)
-
-    def _first(self, slots: Tensor) -> Tensor:
-        """1 at the places (s, k) in the order of unknowns that are eliminated, else 0."""
-        return (torch.arange(self._k, device=self.solver.device) < self._inner[slots]).to(self.solver.dtype)
 
     def _divided(self, slots: Tensor, whole: Tensor, nodes: Tensor, fewest: int) -> tuple[Tensor, Tensor]:
         """The patch's stiffness (s, k, k) condensed to nodes (s, m), at least `fewest` of each, and kept: S (s, 3m, 3m)
@@ -88,16 +81,18 @@ class Condensed:
         p, local = self._k // 3, self._local[nodes]
         apart = torch.zeros((len(nodes), p + 1), dtype=torch.int8, device=nodes.device).scatter_(1, local, 1)[:, :p]
         order, inner = torch.argsort(apart, dim=1, stable=True), p - apart.sum(1, keepdim=True, dtype=torch.int64)
-        place = torch.arange(p, device=nodes.device)
-        rows = torch.cat([torch.where(place < inner, order, -2)[:, : p - fewest], torch.where(local < p, local, -2)], 1)
+        order = torch.where(torch.arange(p, device=nodes.device) < inner, order, p)
+        rows = torch.cat([order[:, : p - fewest], local], 1)
+        rows = torch.where(rows < p, rows, -2)
         fronts = Fronts(rows[:, None, None].int(), *self._whole, None, p - fewest)
         S = whole.new_empty(len(nodes), 1, 3 * nodes.shape[1], 3 * nodes.shape[1])
         panel = Panel(self._inverse[:, None], self._coupling[:, None])
         info = eliminate(fronts, whole.new_empty(len(nodes), 0), whole.flatten(1), panel, slots, S, True)
-        i = torch.arange(3, device=nodes.device)
-        outer = torch.clamp(3 * local[:, :, None] + i, max=self._k).flatten(1)
+        order, outer = (
+            torch.clamp(3 * each[:, :, None] + self._three, max=self._k).flatten(1) for each in (order, local)
+        )
         self._outer[slots] = torch.nn.functional.pad(outer, (0, self._outer.shape[1] - outer.shape[1]), value=self._k)
-        self._order[slots], self._inner[slots] = (3 * order[:, :, None] + i).flatten(1), 3 * inner
+        self._order[slots] = order
         return S[:, 0], info[:, 0]
 
     def _numbers(self, *shape: int) -> Tensor:

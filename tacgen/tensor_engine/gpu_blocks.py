@@ -256,11 +256,11 @@ def _slot_times(
         tl.store(Y + which * rows + mine, out, mask=mine < rows)
 
 
-def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool) -> Tensor:
+def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool = False) -> Tensor:
     """products.slot_times of A (capacity, r, c) or (capacity, t, r, c), whose columns are next to each other."""
     (rows, columns), tiles = A.shape[-2:], x.shape[:-1].numel() // max(len(slots), 1)
     count = columns if transposed else rows
-    y = x.new_zeros(*x.shape[:-1], count)
+    y = x.new_empty(*x.shape[:-1], count)
     if y.numel():
         # few of the results and much of a sum in a program: many programs, with few loads that wait for each other
         size, long = (32, 128 if transposed else 256) if max(rows, columns) > 64 else (32, 32)

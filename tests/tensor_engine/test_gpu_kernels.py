@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
 triton = pytest.importorskip("triton")
 
+from torch.multiprocessing.reductions import StorageWeakRef
 from torch.utils._python_dispatch import TorchDispatchMode
 from triton.runtime import interpreter
 
@@ -182,30 +184,24 @@ class Launches(TorchDispatchMode):
         self.count += 1
 
 
-def test_launches_of_a_factor_and_of_substitutions(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few, whatever the number of scenes: a recording of small calls takes the time of its launches."""
+@pytest.fixture
+def unlaunched(monkeypatch: pytest.MonkeyPatch) -> tuple[Launches, Condensed]:
+    """Factors of two scenes whose kernels are counted, and do nothing."""
     tree, counted = dissected(GridPattern((18, 18, 5))), Launches()
     monkeypatch.setattr(multifrontal, "fused", lambda x: True)
-    monkeypatch.setattr(
-        condensed, "slot_times", lambda A, slots, x, turned=False: gpu_blocks.slot_times(A, slots, x, turned)
-    )
-    names = {
-        "lower_inverse",
-        "rows",
-        "later_rows",
-        "slot_times",
-        "entries",
-        "assembled",
-        "kept",
-        "left",
-        "solved",
-        "turned",
-    }
+    monkeypatch.setattr(condensed, "slot_times", gpu_blocks.slot_times)
     for module in (gpu_blocks, gpu_fronts, gpu_substitution):
-        for name in names & {name[1:] for name in vars(module)}:
-            monkeypatch.setattr(module, f"_{name}", counted)
+        for name in [name for name, part in vars(module).items() if isinstance(part, type(gpu_blocks._rows))]:
+            monkeypatch.setattr(module, name, counted)
     factors = Condensed(multifrontal.Multifrontal(tree), 2)
     factors.reserve(16)
+    return counted, factors
+
+
+def test_launches_of_a_factor_and_of_substitutions(unlaunched: tuple[Launches, Condensed]) -> None:
+    """Few, whatever the number of scenes: a recording of small calls takes the time of its launches."""
+    counted, factors = unlaunched
+    tree = factors.solver.tree
     slots, elements = torch.arange(2), torch.zeros(2, len(tree.pattern.hexes), 24, 24)
     nodes = torch.as_tensor(tree.pattern.patch[:16]).expand(2, -1)
     counts = []
@@ -218,7 +214,24 @@ def test_launches_of_a_factor_and_of_substitutions(monkeypatch: pytest.MonkeyPat
         with counted:
             work()
         counts.append(counted.count)
-    assert [found <= most for found, most in zip(counts, (103, 38, 39), strict=True)] == [True] * 3, counts
+    assert [found <= most for found, most in zip(counts, (101, 28, 30), strict=True)] == [True] * 3, counts
+
+
+def test_memory_of_a_factor(unlaunched: tuple[Launches, Condensed], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calls are as large as `work` has room for, besides entries and tangents."""
+    _, factors = unlaunched
+    tree, new, made, most = factors.solver.tree, torch.Tensor.new_empty, [], [0]
+
+    def new_empty(*args: Any, **kwargs: Any) -> torch.Tensor:
+        out = new(*args, **kwargs)
+        made.append((StorageWeakRef(out.untyped_storage()), out.numel()))
+        most.append(sum(n for storage, n in made if not storage.expired()))
+        return out
+
+    data = torch.zeros(2, factors.solver.pairs + 1, 9)
+    monkeypatch.setattr(torch.Tensor, "new_empty", new_empty)
+    factors.solver.factor(data, factors._panels, torch.arange(2))
+    assert 0.95 <= max(most) / (2 * tree.work) <= 1.05
 
 
 def test_factors_condensed_to_nodes_and_substitutions(monkeypatch: pytest.MonkeyPatch) -> None:
