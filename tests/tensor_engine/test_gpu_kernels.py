@@ -190,8 +190,9 @@ def unlaunched(monkeypatch: pytest.MonkeyPatch) -> tuple[Launches, Condensed]:
     tree, counted = dissected(GridPattern((18, 18, 5))), Launches()
     monkeypatch.setattr(multifrontal, "fused", lambda x: True)
     monkeypatch.setattr(condensed, "slot_times", gpu_blocks.slot_times)
+    kernels = type(gpu_blocks._rows)
     for module in (gpu_blocks, gpu_fronts, gpu_substitution):
-        for name in [name for name, part in vars(module).items() if isinstance(part, type(gpu_blocks._rows))]:
+        for name in [name for name, part in vars(module).items() if isinstance(part, kernels)]:
             monkeypatch.setattr(module, name, counted)
     factors = Condensed(multifrontal.Multifrontal(tree), 2)
     factors.reserve(16)
