@@ -190,10 +190,8 @@ def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
         return gpu_fronts.assembled(fronts, data, below)
     out = _summed(fronts, below, 0, w)
     if fronts.entries is not None:
-        i = torch.arange(3, device=out.device)
-        number = 9 * fronts.entries.long()[..., None, None] + 3 * i[:, None] + i
-        own = data[:, torch.where(fronts.entries[..., None, None] < 0, -1, number)]
-        out += own.transpose(3, 4).reshape(len(data), t, w + m, w)
+        own = data.view(len(data), -1, 3, 3)[:, fronts.entries.long()]  # -1: the last, 0
+        out += own.transpose(3, 4).reshape(out.shape)
     return out if m else _mirrored(out)
 
 
@@ -229,21 +227,18 @@ def _mirrored(A: Tensor) -> Tensor:
 
 
 def _summed(fronts: Fronts, below: Tensor, start: int, stop: int) -> Tensor:
-    """The children's sum in the columns from `start` on of fronts, and in the rows from there on that are needed."""
-    t, w, m = fronts.sizes
-    first_row = 0 if start == 0 else w
-    i = torch.arange(3, device=below.device)
-    number = 3 * fronts.places.long()[..., None] + i
-    number = torch.where(fronts.places[..., None] < 0, -1, number).flatten(-2)  # (b, t, arity, 3 rows)
-    out = below.new_zeros(len(below), t, w + m - first_row, stop - start)
-    flat = torch.nn.functional.pad(below, (0, 1))
+    """The children's sum in the rows of fronts from `start` on and the columns from there to `stop`."""
+    (t, w, m), size = fronts.sizes, below.shape[1]
+    places = fronts.places[:, :, :, start // 3 :].repeat_interleave(3, -1).long()  # (b, t, arity, rows)
+    number = 3 * places + torch.arange(3, device=below.device).repeat(places.shape[3] // 3)
+    out, flat = below.new_zeros(len(below), t, w + m - start, stop - start), torch.nn.functional.pad(below, (0, 1))
     for c in range(fronts.first.shape[1]):
-        row, column = number[:, :, c, first_row:, None], number[:, :, c, None, start:stop]
-        at = fronts.first[:, c, None, None] + row * fronts.length[:, c, None, None] + column
-        at = torch.where((row >= 0) & (column >= 0), at, below.shape[1])
+        row = fronts.first[:, c, None] + number[:, :, c] * fronts.length[:, c, None]
+        row, column = (torch.where(places[:, :, c] < 0, size, each) for each in (row, number[:, :, c]))
+        at = (row[..., None] + column[..., None, : stop - start]).clamp_(max=size)  # there is a 0
         out += flat.gather(1, at.flatten(1).expand(len(below), -1)).view(out.shape)
-    pad = (fronts.places[:, :, 0] == -2).repeat_interleave(3, -1).to(out.dtype)
-    return out + torch.diag_embed(pad)[:, :, first_row:, start:stop]
+    out.diagonal(dim1=2, dim2=3).add_((places[:, :, 0, : stop - start] == -2).to(out.dtype))
+    return out
 
 
 def half(n: int) -> int:
