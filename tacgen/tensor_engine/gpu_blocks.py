@@ -13,6 +13,7 @@ from torch import Tensor
 PRECISION = tl.constexpr("ieee")  # of products, see tl.dot
 LARGEST = 64  # rows of a matrix that one program inverts, and of a tile of a larger one
 STEP = 64  # rows of a larger one that are eliminated at once: 32 or 64
+ALONE = {"num_warps": 1, "num_stages": 1}  # one warp, and no loads before their turn: it reads what it wrote
 SIZES = ("at", "n", "block", "row", "length")  # no code of its own for each value that they may have
 
 
@@ -207,13 +208,13 @@ def lower_inverse(A: Tensor) -> Tensor:
     n, info = A.shape[-1], torch.empty(len(A), dtype=torch.int32, device=A.device)
     if n <= LARGEST:
         size = 16 if n <= 16 else 32
-        _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1)
+        _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, **ALONE)
         return info
     tiles = triton.cdiv(n, 32)
     R = A.new_empty(len(A), STEP, 32 * tiles)
     sizes = n, A.stride(0), A.stride(1), R.shape[2]
     for at in range(0, n, STEP):
-        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=32, HALVES=STEP > 32, num_warps=1)
+        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=32, HALVES=STEP > 32, **ALONE)
         later = 1 + triton.cdiv(max(n - at - STEP, 0), LARGEST)
         _later_rows[(len(A), later, triton.cdiv(n, LARGEST))](A, R, at, *sizes, STEP=STEP, TILE=LARGEST)
     return info
@@ -223,7 +224,7 @@ def inverse(A: Tensor) -> None:
     """Overwrite blocks A (b, n, n), n <= LARGEST, by their inverses, without pivots."""
     n = A.shape[-1]
     size = 16 if n <= 16 else 32
-    _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, num_warps=1)
+    _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, **ALONE)
 
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))

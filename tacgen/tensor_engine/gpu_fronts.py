@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tacgen.tensor_engine.multifrontal import Fronts, Panel
 
 TILE, DEEP = 64, 32  # rows and columns of a product that a program computes, and columns that it multiplies at once
-PRECISION = "ieee"  # of products, see tl.dot: bf16x6 on tensor cores rounds as little, tf32x3 some ten times as much
+PRECISION = "ieee"  # of products, see tl.dot: bf16x6 on tensor cores would round as little, tf32x3 seven times as much
 SIZES = (
     "pairs",
     "size",

@@ -183,7 +183,7 @@ def fused(x: Tensor) -> bool:
 def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
     """The own columns (B, t, w + m, w) of fronts before elimination, of the matrix's entries (B, numbers) and the
     updates (B, numbers) of the level below; where there are no others, so m = 0, the whole symmetric matrices."""
-    t, w, m = fronts.sizes
+    _, w, m = fronts.sizes
     if fused(data):
         from tacgen.tensor_engine import gpu_fronts
 
