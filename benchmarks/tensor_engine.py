@@ -29,7 +29,7 @@ from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine import dissection, grids, multifrontal
+from tacgen.tensor_engine import dissection, grids
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.multifrontal import Multifrontal
@@ -60,9 +60,6 @@ def main() -> None:
                     return
                 try:
                     batched(solver, matrix, batch, told.contact, end)
-                    for base in told.base:
-                        seconds = with_base(solver, matrix, batch, base, end)
-                        say(f"    with blocks of up to {base} rows factorised at once: factor {batch / seconds:.0f}/s")
                     if told.profile:
                         profiled(solver, matrix, batch)
                 except torch.cuda.OutOfMemoryError:
@@ -81,7 +78,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--leaf", type=int, default=dissection.LEAF, help="see dissection.LEAF")
     parser.add_argument("--quartered", type=int, default=dissection.QUARTERED, help="see dissection.QUARTERED")
     parser.add_argument("--groups", type=int, default=dissection.MOST_GROUPS, help="batches of a level")
-    parser.add_argument("--base", type=int, nargs="*", default=(), help="values of multifrontal.BASE to compare")
     parser.add_argument("--profile", action="store_true", help="which operations take the time of a factorisation")
     parser.add_argument("--dtype", choices=("float32", "float64"), default="float32")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="a GPU if there is one")
@@ -210,7 +206,8 @@ def batched(solver: Multifrontal, matrix: Matrix, batch: int, count: int, end: f
     flops = sum(group.flops for group in solver.tree.groups)
     rates = Rates(batch, device.type, end)
     rates.of("assembled", lambda: solver.assembled(elements))
-    seconds = rates.of("factor with S of the patch", lambda: solver.factor(data))
+    panels = solver.empty(batch)
+    seconds = rates.of("factor with S of the patch", lambda: solver.factor(data, panels, slots))
     rates.of("all, condensed and kept", lambda: kept.factor(slots, elements, nodes, count))
     g = torch.ones((batch, solver.nodes, 3), dtype=dtype, device=device)
     y, load = kept.forward(slots, g, nodes.shape[1])
@@ -259,23 +256,13 @@ def refined(solve: Callable[[Tensor], Tensor], times: Callable[[Tensor], Tensor]
     return x
 
 
-def with_base(solver: Multifrontal, matrix: Matrix, batch: int, base: int, end: float) -> float:
-    """Seconds of a factorisation of a batch with another multifrontal.BASE."""
-    elements = torch.as_tensor(matrix.elements, dtype=solver.dtype, device=solver.device)
-    data, usual = solver.assembled(elements.expand(batch, -1, -1, -1)), multifrontal.BASE
-    multifrontal.BASE = base
-    try:
-        return fastest(lambda: solver.factor(data), solver.device.type, end)
-    finally:
-        multifrontal.BASE = usual
-
-
 def profiled(solver: Multifrontal, matrix: Matrix, batch: int) -> None:
     """Prints the operations of one factorisation that take most time."""
     elements = torch.as_tensor(matrix.elements, dtype=solver.dtype, device=solver.device)
     data = solver.assembled(elements.expand(batch, -1, -1, -1))
+    panels, slots = solver.empty(batch), torch.arange(batch, device=solver.device)
     with torch.profiler.profile() as found:
-        solver.factor(data)
+        solver.factor(data, panels, slots)
     key = "self_device_time_total" if solver.device.type == "cuda" else "self_cpu_time_total"
     say(found.key_averages().table(sort_by=key, row_limit=12, max_name_column_width=40))
 

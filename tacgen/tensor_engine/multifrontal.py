@@ -7,7 +7,6 @@ substitutions. Their rounding errors are larger, by the condition of a diagonal 
 """
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,47 +22,46 @@ STRIP = 192  # columns of an update that are computed at once, from the diagonal
 
 
 @dataclass(frozen=True)
-class _Numbers:
-    """Numbers to be added to fronts: places (k,) `to` in the flat fronts, each once, and `at` in a flat source."""
+class Fronts:
+    """Where the numbers of fronts (t, w own nodes, m others) come from, of which the lower triangle is summed.
 
-    to: Tensor
-    at: Tensor
+    places (b, t, arity, w + m): the row of nodes that each node is in each of the children's updates, -1 where it is in
+    none; in the first, which is there without children too, -2 where the node is padding and gets the unit matrix; b is
+    1 where all matrices have the same. first, length (t, arity): where a child's update begins in the updates of the
+    level below, and how long its rows are [numbers].
+    entries (t, w + m, w): the matrix's own blocks, numbers of (pairs + 1), the last of which is 0.
+    """
 
-    def add(self, front: Tensor, source: Tensor) -> None:
-        """Add numbers of sources (B, size, ...) to fronts (B, size, ...)."""
-        front[:, self.to] += source[:, self.at]
-
-
-@dataclass(frozen=True)
-class _Source:
-    """One child of each of some fronts, those in one group of the level below: its number, the updates in the flat
-    fronts, and those of vectors in the rows (t (w + m)) of fronts, from the group's rows (t m)."""
-
-    group: int
-    updates: _Numbers
-    vectors: _Numbers
-
-
-@dataclass(frozen=True)
-class _Fronts:
-    """Fronts (t, w own nodes, m others): the matrix's entries in them, and children; nodes own (t, w) and bound (t, m),
-    the number of all nodes where padded."""
-
-    entries: _Numbers
-    sources: tuple[_Source, ...]
-    own: Tensor
-    bound: Tensor
+    places: Tensor
+    first: Tensor
+    length: Tensor
+    entries: Tensor | None
+    w: int
 
     @property
     def sizes(self) -> tuple[int, int, int]:
         """t, and the rows 3w and 3m of unknowns."""
-        (t, w), m = self.own.shape, self.bound.shape[1]
-        return t, 3 * w, 3 * m
+        _, t, _, rows = self.places.shape
+        return t, 3 * self.w, 3 * (rows - self.w)
+
+
+@dataclass(frozen=True)
+class FrontGroup:
+    """Fronts of a level that are one batch: nodes own (t, w) and bound (t, m), the number of all nodes where padded;
+    rows (t, arity): where a child's vectors begin in those of the level below; at, row: where the fronts' own updates
+    and vectors begin in those of their level."""
+
+    fronts: Fronts
+    own: Tensor
+    bound: Tensor
+    rows: Tensor
+    at: int
+    row: int
 
 
 @dataclass(frozen=True)
 class Panel:
-    """The factors of a level: inverses of the diagonal blocks (B, t, 3w, 3w), and the blocks below (B, t, 3m, 3w)."""
+    """The factors of a group: inverses of the diagonal blocks (B, t, 3w, 3w), and the blocks below (B, t, 3m, 3w)."""
 
     inverse: Tensor
     below: Tensor
@@ -80,108 +78,72 @@ class Multifrontal:
         self.nodes, self.patch = tree.pattern.size, self._index(tree.patch)
         entries = _Entries(tree)
         self.pairs = len(entries.row)
-        self._rounds = [self._index(slots) for slots in entries.rounds]
-        self._diagonal = self._index(entries.diagonal)
+        self._parts, self._diagonal = self._small(entries.parts), self._index(entries.diagonal)
         patch = Group(np.zeros(1, int), tree.patch[None], np.zeros((1, 0), int))
         each = zip((*tree.levels, Level((patch,), 1)), (None, *tree.levels), strict=True)
-        *self.levels, (self.root,) = (
-            [self._fronts(group, level, below, entries) for group in level.groups] for level, below in each
-        )
+        *self.levels, (self.root,) = (self._groups(level, below, entries) for level, below in each)
 
     def _index(self, numbers: Array) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
 
-    def _fronts(self, group: Group, level: Level, below: Level | None, entries: "_Entries") -> _Fronts:
-        rows, w = np.concatenate([group.own, group.bound], 1), group.own.shape[1]
-        number = entries.numbers(rows[:, :, None], group.own[:, None, :])
-        number[:, :w][(group.own < 0)[:, :, None] & np.eye(w, dtype=bool)] = entries.unit
-        front, row, column = np.nonzero(number >= 0)
-        own, bound = (self._index(np.where(nodes < 0, self.nodes, nodes)) for nodes in (group.own, group.bound))
-        sources = [
-            self._source(rows, level.arity * group.fronts + c, k, each)
-            for c in range(level.arity)
-            for k, each in enumerate(below.groups if below else ())
-            if np.isin(level.arity * group.fronts + c, each.fronts).any()
-        ]
-        to, at = _first(front, row, column, rows.shape[1]), 9 * number[front, row, column]
-        return _Fronts(self._blocks(to, 3 * rows.shape[1], at, 3), tuple(sources), own, bound)
+    def _small(self, numbers: Array) -> Tensor:
+        return self._index(numbers.astype(np.int32))
 
-    def _source(self, rows: Array, child: Array, number: int, group: Group) -> _Source:
-        """The children (t,) of fronts with rows of nodes (t, r) that are in a group of the level below."""
-        at = np.searchsorted(group.fronts, child).clip(max=len(group.fronts) - 1)
-        place = np.where((group.fronts[at] == child)[:, None], _places(rows, group.bound[at]), -1)
-        w, m = group.own.shape[1], group.bound.shape[1]
-        front, row = np.nonzero(place >= 0)
-        vectors = front * rows.shape[1] + row, at[front] * m + place[front, row]
-        inside = place >= 0
-        front, row, column = np.nonzero(inside[:, :, None] & inside[:, None, :] & np.tri(rows.shape[1], dtype=bool))
-        to = _first(front, row, column, rows.shape[1])
-        source = _first(at[front], w + place[front, row], w + place[front, column], w + m)
-        updates = self._blocks(to, 3 * rows.shape[1], source, 3 * (w + m))
-        return _Source(number, updates, _Numbers(*map(self._index, vectors)))
-
-    def _blocks(self, to: Array, rows: int, at: Array, source_rows: int) -> _Numbers:
-        """The numbers of blocks that begin at `to` (k,) and `at`, where rows have so many numbers."""
-        i, j = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
-        each = (first[:, None] + length * i + j for first, length in ((to, rows), (at, source_rows)))
-        return _Numbers(*(self._index(numbers.ravel()) for numbers in each))
+    def _groups(self, level: Level, below: Level | None, entries: "_Entries") -> list[FrontGroup]:
+        out, at, row = list[FrontGroup](), 0, 0
+        for group in level.groups:
+            (t, m), nodes = group.bound.shape, np.concatenate([group.own, group.bound], 1)
+            w, children = group.own.shape[1], level.arity * group.fronts[:, None] + np.arange(level.arity)
+            places, first, length, rows = _children(nodes, children, below)
+            places[:, 0][nodes < 0] = -2
+            number = entries.numbers(nodes[:, :, None], group.own[:, None, :])
+            where = [self._small(numbers) for numbers in (places[None], first, length, number)]
+            fronts = Fronts(where[0], where[1], where[2], where[3], w)
+            own, bound = (self._index(np.where(part < 0, self.nodes, part)) for part in (group.own, group.bound))
+            out.append(FrontGroup(fronts, own, bound, self._small(rows), at, row))
+            at, row = at + 9 * t * m**2, row + t * m
+        return out
 
     def assembled(self, elements: Tensor) -> Tensor:
         """The entries (B, pairs + 1, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
         pattern's hexes, rows and columns in the order 3a + i. Nodes without any stiffness get the unit matrix."""
-        batch = len(elements)
-        rows = elements.reshape(batch, -1, 3)
-        data = elements.new_zeros((batch, self.pairs + 1, 9))
-        for some in self._rounds:  # sums of up to 8 elements, in an order that never changes
-            data[:, : len(some)] += rows[:, some].flatten(2)
-        unit = torch.eye(3, dtype=data.dtype, device=self.device).reshape(9)
-        own = data[:, self._diagonal]
-        data[:, self._diagonal] = torch.where((own == 0).all(-1, keepdim=True), unit, own)
-        data[:, -1] = unit
+        if fused(elements):
+            from tacgen.tensor_engine import gpu_fronts
+
+            return gpu_fronts.entries(elements, self._parts, self._diagonal)
+        flat = torch.nn.functional.pad(elements.flatten(1), (0, 1))
+        data = elements.new_zeros((len(elements), self.pairs + 1, 9))
+        block = (24 * torch.arange(3, device=self.device)[:, None] + torch.arange(3, device=self.device)).flatten()
+        for part in self._parts.unbind(1):  # sums of up to 8 elements, in an order that never changes
+            data[:, :-1] += flat[:, torch.where(part[:, None] < 0, -1, part[:, None] + block)]
+        void = self._diagonal & (data[:, :-1] == 0).all(-1)
+        data[:, :-1] += void[..., None] * torch.eye(3, dtype=data.dtype, device=self.device).flatten()
         return data
 
-    def factor(self, data: Tensor) -> "Factor":
-        """The factors of the matrices whose entries `assembled` gives."""
-        data = data.to(self.dtype).reshape(len(data), -1)
-        bad = torch.zeros(len(data), dtype=torch.int32, device=self.device)
-        panels, below = list[Panel](), list[Tensor]()
+    def factor(self, data: Tensor, panels: list[Panel], slots: Tensor) -> tuple[Tensor, Tensor]:
+        """Factorise the matrices whose entries `assembled` gives, into these slots (B,) of the panels.
+
+        Returns the Schur complements S (B, k, k) on the patch's nodes, k = 3 p, and which matrices (B,) are not
+        positive definite away from it; the numbers of those mean nothing.
+        """
+        data, each = data.to(self.dtype).reshape(len(data), -1), iter(panels)
+        bad, below = list[Tensor](), data.new_empty(len(data), 0)
         for level in self.levels:
-            updates = []
-            for fronts in level:
-                panel, flat, info = self._eliminated(fronts, data, below)
-                panels.append(panel)
-                updates.append(flat)
-                bad = torch.maximum(bad, info)
+            last = level[-1]
+            t, _, m = last.fronts.sizes
+            updates = data.new_empty(len(data), last.at + t * m**2)
+            for group in level:
+                t, _, m = group.fronts.sizes
+                out = updates[:, group.at : group.at + t * m**2].view(-1, t, m, m)
+                bad.append(eliminate(group.fronts, data, below, next(each), slots, out))
             below = updates
-        S = self._assembled(self.root, data, below).view(len(data), 3 * len(self.patch), -1)
-        return Factor(self, panels, torch.tril(S) + torch.tril(S, -1).mT, bad > 0)
-
-    def _assembled(self, fronts: _Fronts, data: Tensor, below: list[Tensor]) -> Tensor:
-        """The flat fronts before elimination, of the entries and the flat fronts of the level below; the lower triangle
-        alone, but for the blocks on the diagonal."""
-        t, w, m = fronts.sizes
-        out = data.new_zeros((len(data), t * (w + m) ** 2))
-        fronts.entries.add(out, data)
-        for source in fronts.sources:
-            source.updates.add(out, below[source.group])
-        return out
-
-    def _eliminated(self, fronts: _Fronts, data: Tensor, below: list[Tensor]) -> tuple[Panel, Tensor, Tensor]:
-        """The factor of fronts, the flat fronts with updates, and the leading minors (B,) that are not positive."""
-        batch, (t, w, m) = len(data), fronts.sizes
-        flat = self._assembled(fronts, data, below)
-        F = flat.view(batch * t, w + m, w + m)
-        inverse = F[:, :w, :w].contiguous()
-        info = invert_factor(inverse)
-        L = _times_transposed(F[:, w:, :w], inverse)
-        _subtract_square(F[:, w:, w:], L)
-        return Panel(inverse.view(batch, t, w, w), L.view(batch, t, m, w)), flat, info.view(batch, t).amax(1)
+        return assembled(self.root.fronts, data, below)[:, 0], torch.cat(bad, 1).any(1)
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
         out = []
-        for fronts in itertools.chain(*self.levels):
-            t, w, m = fronts.sizes
+        for group in itertools.chain(*self.levels):
+            t, w, m = group.fronts.sizes
             shapes = (batch, t, w, w), (batch, t, m, w)
             out.append(Panel(*(torch.zeros(shape, dtype=self.dtype, device=self.device) for shape in shapes)))
         return out
@@ -190,19 +152,13 @@ class Multifrontal:
         """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are those
         at `slots` (B,) of the panels."""
         b, each = self._padded(g), iter(panels)
-        y, below = torch.zeros_like(b), list[Tensor]()
+        y, below = torch.zeros_like(b), b.new_empty(len(b), 0, 3)
         for level in self.levels:
-            updates = []
-            for fronts in level:
-                panel, (t, w, m) = next(each), fronts.sizes
-                carried = _carried(fronts, below, b)
-                own = (b[:, fronts.own] + carried[:, :, : w // 3]).view(-1, t, w)
-                solved = slot_times(panel.inverse, slots, own)
-                y[:, fronts.own.view(-1)] = solved.view(len(b), -1, 3)
-                left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, solved).view(-1, t, m // 3, 3)
-                updates.append(left.flatten(1, 2))
+            updates = b.new_empty(len(b), level[-1].row + level[-1].bound.numel(), 3)
+            for group in level:
+                forward(group, next(each), slots, b, below, y, updates)
             below = updates
-        y[:, self.patch] = b[:, self.patch] + _carried(self.root, below, b)[:, 0]
+        forward(self.root, None, slots, b, below, y, below)
         return y[:, :-1]
 
     def backward(self, panels: list[Panel], slots: Tensor, y: Tensor, u: Tensor) -> Tensor:
@@ -210,11 +166,8 @@ class Multifrontal:
         y = self._padded(y)
         x = torch.zeros_like(y)
         x[:, self.patch] = u.to(self.dtype).view(len(y), -1, 3)
-        for fronts, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
-            t, w, m = fronts.sizes
-            bound = x[:, fronts.bound].view(-1, t, m)
-            q = y[:, fronts.own].view(-1, t, w) - slot_times(panel.below, slots, bound, True)
-            x[:, fronts.own.view(-1)] = slot_times(panel.inverse, slots, q, True).view(len(y), -1, 3)
+        for group, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
+            backward(group, panel, slots, y, x)
         return x[:, :-1]
 
     def _padded(self, x: Tensor) -> Tensor:
@@ -222,23 +175,70 @@ class Multifrontal:
         return torch.nn.functional.pad(x.to(self.dtype), (0, 0, 0, 1))
 
 
-@dataclass(frozen=True)
-class Factor:
-    """Matrices eliminated up to the patch: S (B, k, k) is their Schur complement on its nodes, k = 3 p, symmetric.
+def fused(x: Tensor) -> bool:
+    """Whether Triton's kernels do the work on such numbers."""
+    return bool(x.is_cuda) and x.dtype == torch.float32
 
-    indefinite (B,) bool: matrices that are not positive definite away from the patch; their numbers mean nothing.
+
+def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
+    """The own columns (B, t, w + m, w) of fronts before elimination, of the matrix's entries (B, numbers) and the
+    updates (B, numbers) of the level below; where there are no others, so m = 0, the whole symmetric matrices."""
+    _, w, m = fronts.sizes
+    if fused(data):
+        from tacgen.tensor_engine import gpu_fronts
+
+        return gpu_fronts.assembled(fronts, data, below)
+    out = _summed(fronts, below, 0, w)
+    if fronts.entries is not None:
+        own = data.view(len(data), -1, 3, 3)[:, fronts.entries.long()]  # -1: the last, 0
+        out += own.transpose(3, 4).reshape(out.shape)
+    return out if m else _mirrored(out)
+
+
+def eliminate(
+    fronts: Fronts, data: Tensor, below: Tensor, panel: Panel, slots: Tensor, updates: Tensor, whole: bool = False
+) -> Tensor:
+    """Eliminate the own unknowns of fronts: their factors into slots (B,) of a panel, which may be larger and is then 0
+    beyond them, and what is left of the other rows into updates (B, t, m, m): the lower triangle, or if `whole` both.
+
+    Returns the leading minor of each (B, t) that is not positive, 0 where it is positive definite.
     """
+    t, w, m = fronts.sizes
+    if fused(data):
+        from tacgen.tensor_engine import gpu_fronts
 
-    of: Multifrontal
-    panels: list[Panel]
-    S: Tensor
-    indefinite: Tensor
+        return gpu_fronts.eliminate(fronts, data, below, panel, slots, updates, whole)
+    columns = assembled(fronts, data, below).flatten(0, 1)
+    inverse = columns[:, :w].contiguous()
+    info = invert_factor(inverse)
+    L = _times_transposed(columns[:, w:], inverse)
+    for kept, new in ((panel.inverse, inverse), (panel.below, L)):
+        rows, length = (a - b for a, b in zip(kept.shape[2:], new.shape[1:], strict=True))
+        kept[slots] = torch.nn.functional.pad(new.unflatten(0, (-1, t)), (0, length, 0, rows))
+    left = _summed(fronts, below, w, w + m).flatten(0, 1)
+    _subtract_square(left, L)
+    updates.copy_((_mirrored(left) if whole else left).view(updates.shape))
+    return info.view(-1, t)
 
-    def solve(self, b: Tensor, patch: Callable[[Tensor], Tensor]) -> Tensor:
-        """x (B, n, 3) of K x = b, where `patch` solves S u = load for (B, k); 0 at bonded nodes."""
-        slots = torch.arange(len(b), device=b.device)
-        y = self.of.forward(self.panels, slots, b)
-        return self.of.backward(self.panels, slots, y, patch(y[:, self.of.patch].flatten(1)))
+
+def _mirrored(A: Tensor) -> Tensor:
+    """The symmetric matrices with these lower triangles."""
+    return torch.tril(A) + torch.tril(A, -1).mT
+
+
+def _summed(fronts: Fronts, below: Tensor, start: int, stop: int) -> Tensor:
+    """The children's sum in the rows of fronts from `start` on and the columns from there to `stop`."""
+    (t, w, m), size = fronts.sizes, below.shape[1]
+    places = fronts.places[:, :, :, start // 3 :].repeat_interleave(3, -1).long()  # (b, t, arity, rows)
+    number = 3 * places + torch.arange(3, device=below.device).repeat(places.shape[3] // 3)
+    out, flat = below.new_zeros(len(below), t, w + m - start, stop - start), torch.nn.functional.pad(below, (0, 1))
+    for c in range(fronts.first.shape[1]):
+        row = fronts.first[:, c, None] + number[:, :, c] * fronts.length[:, c, None]
+        row, column = (torch.where(places[:, :, c] < 0, size, each) for each in (row, number[:, :, c]))
+        at = (row[..., None] + column[..., None, : stop - start]).clamp_(max=size)  # there is a 0
+        out += flat.gather(1, at.flatten(1).expand(len(below), -1)).view(out.shape)
+    out.diagonal(dim1=2, dim2=3).add_((places[:, :, 0, : stop - start] == -2).to(out.dtype))
+    return out
 
 
 def half(n: int) -> int:
@@ -253,7 +253,7 @@ def invert_factor(A: Tensor) -> Tensor:
     numbers mean nothing.
     """
     n = A.shape[-1]
-    if n <= BASE and A.is_cuda and A.dtype == torch.float32:
+    if fused(A):
         from tacgen.tensor_engine import gpu_blocks
 
         return gpu_blocks.lower_inverse(A)
@@ -292,14 +292,63 @@ def _subtract_square(U: Tensor, L: Tensor) -> None:
         U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
 
 
-def _carried(fronts: _Fronts, below: list[Tensor], b: Tensor) -> Tensor:
-    """The sum (B, t, w + m, 3) that the children of fronts add to vectors like b, of the updates (B, rows, 3) of each
-    group of the level below."""
-    t, w, m = fronts.sizes
-    out = b.new_zeros((len(b), t * (w + m) // 3, 3))
-    for source in fronts.sources:
-        source.vectors.add(out, below[source.group])
-    return out.view(len(b), t, -1, 3)
+def forward(
+    group: FrontGroup, panel: Panel | None, slots: Tensor, b: Tensor, below: Tensor, y: Tensor, updates: Tensor
+) -> None:
+    """Vectors b (B, n + 1, 3) with what the children add, from those of the level below (B, rows, 3): L^-1 of them into
+    y at the own nodes, and what is left of the others into updates. Without a panel, as for the patch, into y."""
+    if fused(b):
+        from tacgen.tensor_engine import gpu_substitution
+
+        return gpu_substitution.forward(group, panel, slots, b, below, y, updates)
+    t, w, m = group.fronts.sizes
+    carried = _carried(group, below)
+    own = (b[:, group.own] + carried[:, :, : w // 3]).view(-1, t, w)
+    if panel is not None:
+        own = slot_times(panel.inverse, slots, own)
+        left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, own).view(-1, t, m // 3, 3)
+        updates[:, group.row : group.row + group.bound.numel()] = left.flatten(1, 2)
+    y[:, group.own.view(-1)] = own.view(len(b), -1, 3)
+    return None
+
+
+def backward(group: FrontGroup, panel: Panel, slots: Tensor, y: Tensor, x: Tensor) -> None:
+    """x (B, n + 1, 3) at the own nodes of fronts from y and x at the others; y may change."""
+    if fused(y):
+        from tacgen.tensor_engine import gpu_substitution
+
+        return gpu_substitution.backward(group, panel, slots, y, x)
+    t, w, m = group.fronts.sizes
+    q = y[:, group.own].view(-1, t, w) - slot_times(panel.below, slots, x[:, group.bound].view(-1, t, m), True)
+    x[:, group.own.view(-1)] = slot_times(panel.inverse, slots, q, True).view(len(y), -1, 3)
+    return None
+
+
+def _carried(group: FrontGroup, below: Tensor) -> Tensor:
+    """The sum (B, t, w + m, 3) that the children of fronts add to vectors, of the updates (B, rows, 3) of the level
+    below."""
+    places = group.fronts.places[0]
+    at = torch.where(places < 0, below.shape[1], group.rows[:, :, None] + places)
+    return torch.nn.functional.pad(below, (0, 0, 0, 1))[:, at].sum(2)
+
+
+def _children(nodes: Array, children: Array, below: Level | None) -> tuple[Array, Array, Array, Array]:
+    """For fronts with rows of nodes (t, r) and the numbers (t, arity) of their children: the places (t, arity, r),
+    first numbers, lengths of rows and first rows of vectors (t, arity)."""
+    if below is None:
+        none = np.zeros((len(nodes), 0), int)
+        return np.full((len(nodes), 1, nodes.shape[1]), -1), none, none, none
+    places = np.full((*children.shape, nodes.shape[1]), -1)
+    first, length, rows = (np.zeros(children.shape, int) for _ in range(3))
+    at = row = 0
+    for group in below.groups:
+        t, m = group.bound.shape
+        front, c = np.nonzero(np.isin(children, group.fronts))
+        which = np.searchsorted(group.fronts, children[front, c])
+        places[front, c] = _places(nodes[front], group.bound[which])
+        first[front, c], length[front, c], rows[front, c] = at + 9 * m**2 * which, 3 * m, row + m * which
+        at, row = at + 9 * t * m**2, row + t * m
+    return places, first, length, rows
 
 
 def _places(rows: Array, bound: Array) -> Array:
@@ -310,17 +359,11 @@ def _places(rows: Array, bound: Array) -> Array:
     return np.take_along_axis(place, rows, 1)
 
 
-def _first(front: Array, row: Array, column: Array, size: int) -> Array:
-    """First numbers of blocks at rows and columns, in nodes, of flat fronts of `size` nodes."""
-    return np.asarray((front * 3 * size + 3 * row) * 3 * size + 3 * column)
-
-
 class _Entries:
     """The lower triangle of a matrix by pairs of nodes: its rows are eliminated no earlier than its columns.
 
-    row, column (pairs,): nodes. unit: number of one more block. rounds: of the pairs that have one, the first,
-    second... element that contributes, as numbers (pairs, 3) of its tangent's rows of three (e, 24, 8); pairs with most
-    elements come first. diagonal: pairs of a node with itself.
+    row, column (pairs,): nodes. parts (pairs, 8): where the block begins in the tangents (e, 24, 24) of each element
+    that has it, padded with -1. diagonal (pairs,): whether a node is paired with itself.
     """
 
     def __init__(self, tree: Dissection) -> None:
@@ -328,19 +371,17 @@ class _Entries:
         hexes, n = pattern.hexes, pattern.size
         row, column = np.repeat(hexes, 8, axis=1).ravel(), np.tile(hexes, 8).ravel()
         slots = np.flatnonzero((rank[column] >= 0) & (rank[row] >= rank[column]))
-        keys, which, count = np.unique(row[slots] * n + column[slots], return_inverse=True, return_counts=True)
-        order = np.argsort(-count, kind="stable")
-        self._n, self._rank, self._keys, self._number = n, rank, keys, np.argsort(order)
-        self.row, self.column = keys[order] // n, keys[order] % n
-        self.unit = len(keys)
-        by_pair, most = slots[np.argsort(which, kind="stable")], count[order]
-        starts = (np.cumsum(count) - count)[order]
-        blocks = [by_pair[starts[most > k] + k] for k in range(most.max())]  # numbers of (e, 8, 8)
-        self.rounds = [(at // 8 * 24 + at % 8)[:, None] + 8 * np.arange(3) for at in blocks]
-        self.diagonal = np.flatnonzero(self.row == self.column)
+        self._n, self._keys = n, np.unique(row[slots] * n + column[slots])
+        self.row, self.column = self._keys // n, self._keys % n
+        which = np.searchsorted(self._keys, row[slots] * n + column[slots])
+        order = np.argsort(which, kind="stable")
+        slots, which = slots[order], which[order]
+        self.parts = np.full((len(self._keys), 8), -1)
+        self.parts[which, np.arange(len(which)) - np.searchsorted(which, which)] = 72 * (slots // 8) + 3 * (slots % 8)
+        self.diagonal = self.row == self.column
 
     def numbers(self, row: Array, column: Array) -> Array:
         """Numbers of the pairs of these nodes, which broadcast; -1 where there is none, or a node is -1."""
         key = row * self._n + column
         at = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
-        return np.where((self._keys[at] == key) & (row >= 0) & (column >= 0), self._number[at], -1)
+        return np.where((self._keys[at] == key) & (row >= 0) & (column >= 0), at, -1)

@@ -1,6 +1,8 @@
 """What a GPU computes in one launch is what NumPy and PyTorch compute; without a GPU by Triton's interpreter."""
 
 import os
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,17 +10,51 @@ import torch
 
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
-pytest.importorskip("triton")
+triton = pytest.importorskip("triton")
 
-from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements, gpu_tangents, products
+from torch.multiprocessing.reductions import StorageWeakRef
+from torch.utils._python_dispatch import TorchDispatchMode
+from triton.runtime import interpreter
+
+from tacgen.tensor_engine import (
+    condensed,
+    gpu_blocks,
+    gpu_contact,
+    gpu_distance,
+    gpu_elements,
+    gpu_fronts,
+    gpu_substitution,
+    gpu_tangents,
+    multifrontal,
+    products,
+)
+from tacgen.tensor_engine.condensed import Condensed
+from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.elements import Hexes
+from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine import test_elements
 from tensor_engine.test_contact import SHAPES, Case
+from tensor_engine.test_multifrontal import matrices
 
 pytestmark = pytest.mark.slow  # the interpreter takes seconds
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+
+
+@pytest.fixture(autouse=True)
+def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices; and
+    products as it knows them."""
+    if DEVICE == "cuda":
+        return
+    for module in (gpu_blocks, gpu_fronts):
+        monkeypatch.setattr(module, "PRECISION", triton.language.constexpr("ieee"))
+
+    def number(end: object) -> int:
+        return int(np.ravel(getattr(getattr(end, "handle", end), "data", end))[0])
+
+    monkeypatch.setattr(interpreter, "range", lambda *ends: range(*map(number, ends)), raising=False)
 
 
 def close(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-11) -> bool:
@@ -62,7 +98,7 @@ def test_forces_tangents_and_merits(slide: float, friction: bool) -> None:
     assert merits.shape == (len(areas), 3)
 
 
-@pytest.mark.parametrize("size", [3, 16, 29, 41, 64])
+@pytest.mark.parametrize("size", [3, 16, 29, 41, 64, 70, 150])
 def test_inverses_of_gpu_blocks(size: int) -> None:
     r = np.random.default_rng(size)
     A = torch.tensor(r.normal(size=(3, size, size)), dtype=torch.float32)
@@ -76,16 +112,159 @@ def test_inverses_of_gpu_blocks(size: int) -> None:
     assert gpu_blocks.lower_inverse(block).tolist() == [0, 0, 0]
     assert close(block, torch.linalg.inv(torch.linalg.cholesky(A)), 2e-6)
     assert float(around[:, :2].abs().sum() + around[:, :, 0].abs().sum()) == 0.0
+    if size > gpu_blocks.LARGEST:
+        return
     inverse = B.clone().to(DEVICE)
     gpu_blocks.inverse(inverse)
     assert close(inverse, torch.linalg.inv(B), 2e-5)
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
-def test_the_first_minor_that_is_not_positive_is_told() -> None:
-    A = torch.eye(40).repeat(2, 1, 1)
-    A[0, 35, 35] = -1.0
-    assert gpu_blocks.lower_inverse(A.to(DEVICE)).tolist() == [36, 0]
+@pytest.mark.parametrize("size", [40, 130])
+def test_the_first_minor_that_is_not_positive_is_told(size: int) -> None:
+    A = torch.eye(size).repeat(2, 1, 1)
+    A[0, size - 5, size - 5] = A[0, size - 3, size - 3] = -1.0
+    assert gpu_blocks.lower_inverse(A.to(DEVICE)).tolist() == [size - 4, 0]
+
+
+def test_fronts_of_several_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the updates of one child, in another order for each of two scenes, with padding; into larger panels."""
+    r, nodes, w = np.random.default_rng(4), 50, 25
+    A = torch.tensor(r.normal(size=(2, 3 * nodes, 3 * nodes)), dtype=torch.float32)
+    A = A @ A.mT + 3 * nodes * torch.eye(3 * nodes)
+    places = torch.tensor(np.array([r.permutation(nodes)[: nodes - 2] for _ in range(2)]), dtype=torch.int32)
+    places[1, [w - 1, -1]] = -2
+    both = []
+    for device, kernels in (("cpu", False), (DEVICE, True)):
+        monkeypatch.setattr(multifrontal, "fused", lambda x, kernels=kernels: kernels)
+        one = torch.zeros(1, 1, dtype=torch.int32, device=device)
+        fronts = multifrontal.Fronts(places[:, None, None].to(device), one, one + 3 * nodes, None, w)
+        panel = multifrontal.Panel(*(torch.full((3, 1, n, 80), torch.nan, device=device) for n in (80, 90)))
+        S = torch.full((2, 1, 69, 69), torch.nan, device=device)
+        slots = torch.tensor([2, 0], device=device)
+        info = multifrontal.eliminate(
+            fronts, A.new_empty(2, 0, device=device), A.flatten(1).to(device), panel, slots, S, True
+        )
+        assert info.tolist() == [[0], [0]]
+        both.append((panel.inverse[slots], panel.below[slots], S))
+    for wanted, found in zip(*both, strict=True):
+        assert close(found, wanted, 1e-5)
+    assert torch.equal(S, S.mT)
+
+
+class Launches(TorchDispatchMode):
+    """Counts kernels of PyTorch and, in the place of Triton's, calls of them."""
+
+    NONE = (
+        "empty",
+        "view",
+        "alias",
+        "slice",
+        "select",
+        "expand",
+        "unsqueeze",
+        "transpose",
+        "permute",
+        "as_strided",
+        "detach",
+    )
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):  # type: ignore[no-untyped-def]
+        self.count += not any(name in func.__name__ for name in self.NONE)
+        return func(*args, **(kwargs or {}))
+
+    def __getitem__(self, grid: object) -> Callable[..., None]:
+        return self._launched
+
+    def _launched(self, *args: object, **kwargs: object) -> None:
+        self.count += 1
+
+
+@pytest.fixture
+def unlaunched(monkeypatch: pytest.MonkeyPatch) -> tuple[Launches, Condensed]:
+    """Factors of two scenes whose kernels are counted, and do nothing."""
+    tree, counted = dissected(GridPattern((18, 18, 5))), Launches()
+    monkeypatch.setattr(multifrontal, "fused", lambda x: True)
+    monkeypatch.setattr(condensed, "slot_times", gpu_blocks.slot_times)
+    kernels = type(gpu_blocks._rows)
+    for module in (gpu_blocks, gpu_fronts, gpu_substitution):
+        for name in [name for name, part in vars(module).items() if isinstance(part, kernels)]:
+            monkeypatch.setattr(module, name, counted)
+    factors = Condensed(multifrontal.Multifrontal(tree), 2)
+    factors.reserve(16)
+    return counted, factors
+
+
+def test_launches_of_a_factor_and_of_substitutions(unlaunched: tuple[Launches, Condensed]) -> None:
+    """Few, whatever the number of scenes: a recording of small calls takes the time of its launches."""
+    counted, factors = unlaunched
+    tree = factors.solver.tree
+    slots, elements = torch.arange(2), torch.zeros(2, len(tree.pattern.hexes), 24, 24)
+    nodes = torch.as_tensor(tree.pattern.patch[:16]).expand(2, -1)
+    counts = []
+    for work in (
+        lambda: factors.factor(slots, elements, nodes, 16),
+        lambda: factors.forward(slots, torch.zeros(2, tree.pattern.size, 3), 16),
+        lambda: factors.expand(slots, torch.zeros(2, 48), torch.zeros(2, tree.pattern.size, 3)),
+    ):
+        counted.count = 0
+        with counted:
+            work()
+        counts.append(counted.count)
+    assert [found <= most for found, most in zip(counts, (101, 28, 30), strict=True)] == [True] * 3, counts
+
+
+def test_memory_of_a_factor(unlaunched: tuple[Launches, Condensed], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calls are as large as `work` has room for, besides entries and tangents."""
+    _, factors = unlaunched
+    tree, new, made, most = factors.solver.tree, torch.Tensor.new_empty, [], [0]
+
+    def new_empty(*args: Any, **kwargs: Any) -> torch.Tensor:
+        out = new(*args, **kwargs)
+        made.append((StorageWeakRef(out.untyped_storage()), out.numel()))
+        most.append(sum(n for storage, n in made if not storage.expired()))
+        return out
+
+    data = torch.zeros(2, factors.solver.pairs + 1, 9)
+    monkeypatch.setattr(torch.Tensor, "new_empty", new_empty)
+    factors.solver.factor(data, factors._panels, torch.arange(2))
+    assert 0.95 <= max(most) / (2 * tree.work) <= 1.05
+
+
+def test_factors_condensed_to_nodes_and_substitutions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With children in two groups, void cells, a slot that is asked for twice as recordings do, and scenes with nodes
+    of their own."""
+    pattern, slots = GridPattern((8, 7, 2)), torch.tensor([2, 0, 2])
+    tree = dissected(pattern, leaf=3, quartered=5)
+    assert max(len(level.groups) for level in tree.levels) == 2
+    elements, _ = matrices(pattern, batch=2, void=(0, 1, 2))
+    elements = elements[[0, 1, 0]].float()
+    nodes = torch.as_tensor(pattern.patch)[torch.tensor([[0, 2, 5], [4, 1, 0], [0, 2, 5]])]
+    nodes[1, 2] = -1
+    r = np.random.default_rng(5)
+    g, u = (torch.tensor(r.normal(size=(3, *shape)), dtype=torch.float32) for shape in ((pattern.size, 3), (9,)))
+    g[2], u[2] = g[0], u[0]
+    both = []
+    for device, kernels in (("cpu", False), (DEVICE, True)):
+        monkeypatch.setattr(multifrontal, "fused", lambda x, kernels=kernels: kernels)
+        kept = Condensed(multifrontal.Multifrontal(tree, device), 3)
+        kept.reserve(4)
+        kept._inverse.fill_(torch.nan)  # of what a slot had before
+        kept._coupling.fill_(torch.nan)
+        at, K, some, b, v = (part.to(device) for part in (slots, elements, nodes, g, u))
+        good, S = kept.factor(at, K, some, 2)
+        assert good.all()
+        y, load = kept.forward(at, b, 3)
+        p = kept.expand(at, v, y)
+        both.append((S, *(part for panel in kept._panels
+                     for part in (panel.inverse[at], panel.below[at])),
+                     kept._inverse[at], kept._coupling[at], y, load, p))  # fmt: skip
+    for wanted, found in zip(*both, strict=True):
+        assert close(found, wanted, 3e-5)
 
 
 @pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")

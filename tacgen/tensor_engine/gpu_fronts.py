@@ -1,0 +1,222 @@
+"""Fronts of many matrices on a GPU, by Triton: a number of a front is read where it comes from, and written once.
+
+In plain operations these are multifrontal.assembled and multifrontal.eliminate. Imported only where there is a GPU.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from tacgen.tensor_engine import gpu_blocks
+
+if TYPE_CHECKING:
+    from tacgen.tensor_engine.multifrontal import Fronts, Panel
+
+TILE, DEEP = 64, 32  # rows and columns of a product that a program computes, and columns that it multiplies at once
+PRECISION = "ieee"  # of products, see tl.dot: bf16x6 on tensor cores would round as little, tf32x3 seven times as much
+SIZES = (
+    "pairs",
+    "size",
+    "numbers",
+    "apart",
+    "t",
+    "w",
+    "m",
+    "n",
+    "length",
+    "beyond",
+    "slot",
+    "row",
+    "to_slot",
+    "to_row",
+)
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _entries(ELEMENTS, PARTS, DIAGONAL, OUT, pairs, size, MANY: tl.constexpr):
+    scene, pair = tl.program_id(1).to(tl.int64), tl.program_id(0) * MANY + tl.arange(0, MANY)
+    n = tl.arange(0, 16)
+    inside = (pair < pairs)[:, None] & (n < 9)[None, :]
+    out = tl.zeros((MANY, 16), tl.float32)
+    for k in range(8):
+        part = tl.load(PARTS + 8 * pair + k, mask=pair < pairs, other=-1)[:, None]
+        number = part + (24 * (n // 3) + n % 3)[None, :]
+        out += tl.load(ELEMENTS + scene * size + number, mask=inside & (part >= 0), other=0.0)
+    void = (tl.max(tl.abs(out), 1) == 0) & tl.load(DIAGONAL + pair, mask=pair < pairs, other=0).to(tl.int1)
+    out = tl.where(void[:, None] & (n % 4 == 0)[None, :], 1.0, out)
+    all_of_them = (pair <= pairs)[:, None] & (n < 9)[None, :]  # the last one is 0
+    tl.store(OUT + scene * 9 * (pairs + 1) + 9 * pair[:, None] + n[None, :], out, mask=all_of_them)
+
+
+@triton.jit
+def _summed(BELOW, PLACES, FIRST, LENGTH, front, n, row, column, ARITY: tl.constexpr):
+    """Numbers of fronts of n nodes at rows and columns, of which the later is read as the row: sums of the children's
+    updates, and the unit matrix where nodes are padding."""
+    i, j = tl.maximum(row[:, None], column[None, :]), tl.minimum(row[:, None], column[None, :])
+    PLACES += front * n * (ARITY if ARITY else 1)
+    padding = tl.load(PLACES + row // 3, mask=row < 3 * n, other=-1) == -2
+    out = tl.where((i == j) & padding[:, None], 1.0, 0.0)
+    for c in tl.static_range(ARITY):
+        places = PLACES + c * n
+        down = tl.load(places + row // 3, mask=row < 3 * n, other=-1)
+        along = tl.load(places + column // 3, mask=column < 3 * n, other=-1)
+        inside = (down >= 0)[:, None] & (along >= 0)[None, :]
+        down, along = (3 * down + row % 3)[:, None], (3 * along + column % 3)[None, :]
+        first, length = tl.load(FIRST + front * ARITY + c), tl.load(LENGTH + front * ARITY + c)
+        at = first + tl.maximum(down, along) * length + tl.minimum(down, along)
+        out += tl.load(BELOW + at, mask=inside, other=0.0)
+    return out
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _assembled(
+    DATA, BELOW, PLACES, FIRST, LENGTH, MAP, OUT, numbers, size, apart, t, w, n,
+    ARITY: tl.constexpr, ENTRIES: tl.constexpr, WHOLE: tl.constexpr, ROWS: tl.constexpr, COLUMNS: tl.constexpr,
+):  # fmt: skip
+    which = tl.program_id(0).to(tl.int64)
+    scene, front = which // t, which % t
+    row = tl.program_id(1) * ROWS + tl.arange(0, ROWS)
+    column = tl.program_id(2) * COLUMNS + tl.arange(0, COLUMNS)
+    if WHOLE or (tl.program_id(1) + 1) * ROWS > tl.program_id(2) * COLUMNS:
+        out = _summed(
+            BELOW + scene * size,
+            PLACES + scene * apart,
+            FIRST,
+            LENGTH,
+            front,
+            n,
+            row,
+            column,
+            ARITY,
+        )
+        inside = (row < 3 * n)[:, None] & (column < 3 * w)[None, :]
+        if ENTRIES:
+            i, j = tl.maximum(row[:, None], column[None, :]), tl.minimum(row[:, None], column[None, :])
+            number = tl.load(MAP + (front * n + i // 3) * w + j // 3, mask=inside & (j < 3 * w), other=-1)
+            number = tl.where(number < 0, numbers, 9 * number + 3 * (i % 3) + j % 3)
+            out += tl.load(DATA + scene * numbers + number, mask=number < numbers, other=0.0)
+        tl.store(OUT + (which * 3 * n + row[:, None]) * 3 * w + column[None, :], out, mask=inside)
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _kept(
+    COLUMNS, SLOTS, INVERSE, BELOW, t, w, m, n, length, beyond, slot, row, to_slot, to_row,
+    PRECISION: tl.constexpr, TILE: tl.constexpr, DEEP: tl.constexpr,
+):  # fmt: skip
+    """The factors to where they are kept: copies of inverses (w, w) as (n, length), and products (m, w) of the rows
+    below with their transposes as (beyond, length)."""
+    which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
+    first = COLUMNS + which * (w + m) * w
+    kept, front = tl.load(SLOTS + which // t), which % t
+    column = tl.program_id(2) * TILE + tl.arange(0, TILE)
+    if tile < tl.cdiv(n, TILE):
+        i = tile * TILE + tl.arange(0, TILE)
+        inside = (i < w)[:, None] & (column < w)[None, :]
+        out = tl.load(first + i[:, None] * w + column[None, :], mask=inside, other=0.0)
+        at = INVERSE + kept * slot + front * n * row + i[:, None] * row + column[None, :]
+        tl.store(at, out, mask=(i < n)[:, None] & (column < length)[None, :])
+    else:
+        i = (tile - tl.cdiv(n, TILE)) * TILE + tl.arange(0, TILE)
+        out = tl.zeros((TILE, TILE), tl.float32)
+        each = tl.arange(0, DEEP)
+        for k in tl.range(0, tl.minimum((tl.program_id(2) + 1) * TILE, w), DEEP):
+            j = k + each
+            G = tl.load(first + (w + i[:, None]) * w + j[None, :], mask=(i < m)[:, None] & (j < w)[None, :], other=0.0)
+            X = tl.load(
+                first + column[:, None] * w + j[None, :], mask=(column < w)[:, None] & (j < w)[None, :], other=0.0
+            )
+            out = tl.dot(G, tl.trans(X), out, input_precision=PRECISION)
+        at = BELOW + kept * to_slot + front * beyond * to_row + i[:, None] * to_row + column[None, :]
+        tl.store(at, out, mask=(i < beyond)[:, None] & (column < length)[None, :])
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _left(
+    BELOW, PLACES, FIRST, LENGTH, SLOTS, L, OUT, size, apart, t, w, m, n, length, beyond, slot, row,
+    ARITY: tl.constexpr, WHOLE: tl.constexpr, PRECISION: tl.constexpr, TILE: tl.constexpr, DEEP: tl.constexpr,
+):  # fmt: skip
+    """Updates (m, m) of the other rows: the children's sums less L L^T."""
+    if tl.program_id(2) <= tl.program_id(1):
+        which = tl.program_id(0).to(tl.int64)
+        scene, front = which // t, which % t
+        i, j = tl.program_id(1) * TILE + tl.arange(0, TILE), tl.program_id(2) * TILE + tl.arange(0, TILE)
+        first = L + tl.load(SLOTS + scene) * slot + front * beyond * row
+        square = tl.zeros((TILE, TILE), tl.float32)
+        each = tl.arange(0, DEEP)
+        for k in tl.range(0, w, DEEP):
+            c = k + each
+            A = tl.load(first + i[:, None] * row + c[None, :], mask=(i < m)[:, None] & (c < w)[None, :], other=0.0)
+            B = tl.load(first + j[:, None] * row + c[None, :], mask=(j < m)[:, None] & (c < w)[None, :], other=0.0)
+            square = tl.dot(A, tl.trans(B), square, input_precision=PRECISION)
+        out = _summed(
+            BELOW + scene * size,
+            PLACES + scene * apart,
+            FIRST,
+            LENGTH,
+            front,
+            n,
+            w + i,
+            w + j,
+            ARITY,
+        )
+        out -= square
+        lower = (i < m)[:, None] & (j[None, :] <= i[:, None])
+        to = OUT + scene * length + front * m * m
+        tl.store(to + i[:, None] * m + j[None, :], out, mask=lower)
+        if WHOLE:
+            tl.store(to + i[:, None] + j[None, :] * m, out, mask=lower)
+
+
+def entries(elements: Tensor, parts: Tensor, diagonal: Tensor) -> Tensor:
+    """Multifrontal.assembled of contiguous element tangents, with the parts (pairs, 8) of each entry."""
+    pairs, many = len(parts), 32
+    out = elements.new_empty(len(elements), pairs + 1, 9)
+    _entries[(triton.cdiv(pairs + 1, many), len(elements))](
+        elements.contiguous(), parts, diagonal, out, pairs, elements[0].numel(), MANY=many
+    )
+    return out
+
+
+def _sources(fronts: Fronts, below: Tensor) -> tuple[tuple[Tensor, ...], int]:
+    """Maps and numbers that `_summed` reads, and how far apart the places of two matrices are."""
+    places = fronts.places
+    return (below, places, fronts.first, fronts.length), 0 if len(places) == 1 else places.stride(0)
+
+
+def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
+    """multifrontal.assembled."""
+    (t, w, m), n, arity = fronts.sizes, fronts.places.shape[3], fronts.first.shape[1]
+    batch, ((at, *sources), apart) = len(data), _sources(fronts, below)
+    out, whole = data.new_empty(batch, t, w + m, w), not m
+    grid = batch * t, triton.cdiv(w + m, 32), triton.cdiv(w, 64)
+    _assembled[grid](
+        data, at, *sources, fronts.entries, out, data.shape[1], below.shape[1], apart, t, fronts.w, n, ARITY=arity,
+        ENTRIES=fronts.entries is not None, WHOLE=whole, ROWS=32, COLUMNS=64,
+    )  # fmt: skip
+    return out
+
+
+def eliminate(
+    fronts: Fronts, data: Tensor, below: Tensor, panel: Panel, slots: Tensor, updates: Tensor, whole: bool
+) -> Tensor:
+    """multifrontal.eliminate."""
+    (t, w, m), n, arity = fronts.sizes, fronts.places.shape[3], fronts.first.shape[1]
+    batch, columns = len(slots), assembled(fronts, data, below).flatten(0, 1)
+    info = gpu_blocks.lower_inverse(columns[:, :w])
+    X, L = panel.inverse, panel.below
+    tiles = triton.cdiv(X.shape[2], TILE) + triton.cdiv(L.shape[2], TILE)
+    _kept[(batch * t, tiles, triton.cdiv(X.shape[3], TILE))](
+        columns, slots, X, L, t, w, m, X.shape[2], X.shape[3], L.shape[2], X.stride(0), X.stride(2), L.stride(0),
+        L.stride(2), PRECISION=PRECISION, TILE=TILE, DEEP=DEEP,
+    )  # fmt: skip
+    if m:
+        sources, apart = _sources(fronts, below)
+        _left[(batch * t, triton.cdiv(m, TILE), triton.cdiv(m, TILE))](
+            *sources, slots, L, updates, below.shape[1], apart, t, w, m, n, updates.stride(0), L.shape[2], L.stride(0),
+            L.stride(2), ARITY=arity, WHOLE=whole, PRECISION=PRECISION, TILE=TILE, DEEP=DEEP,
+        )  # fmt: skip
+    return info.view(batch, t)
