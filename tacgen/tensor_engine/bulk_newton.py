@@ -96,7 +96,7 @@ def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
     """The contact before its first step."""
     t = b.t
     x = torch.zeros_like(t.c_x[s])
-    x[:, : sizes.nodes] = b.at_condensed(s, t.x[s], sizes.nodes)
+    x[:, : sizes.nodes] = b.at_condensed(s, t.x, sizes.nodes)
     zero = torch.zeros_like(t.c_drift[s])
     t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_gap=zero - 1, c_steps=zero.long())
 

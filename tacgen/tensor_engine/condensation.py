@@ -47,7 +47,7 @@ def condensed(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Quadratics
             out = torch.where(factor[:, None] > 0, out + factor[:, None] * slot_times(at_rest, s, u), out)
         return out
 
-    return Quadratics(b.at_condensed(s, b.t.x[s], sizes.nodes), times, b.read("load", s, k))
+    return Quadratics(b.at_condensed(s, b.t.x, sizes.nodes), times, b.read("load", s, k))
 
 
 def _damped(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Tensor:

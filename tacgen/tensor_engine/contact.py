@@ -13,6 +13,7 @@ from torch import Tensor
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import SOFT, Contact, Faces
 from tacgen.mechanics.coupled import CoupledContact
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.shapes import Shapes
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
@@ -73,7 +74,8 @@ class Contacts:
 
     conn (s, f, 4) node numbers; N (q, 4); areas (s, f, q), 0 where a facet does not exist; rotation
     (s, 3, 3) and position (s, 3) of the indenter; (s,): dhat and offset [mm], kappa [MPa], friction, slip length eps
-    [mm]; anchor (s, f, q, 3) in the sensor's frame.
+    [mm]; anchor (s, f, q, 3) in the sensor's frame; on a GPU, of each node `ends` (s, n, 4): the facet of which it is a
+    certain corner, -1 if none, if the facets are not those of the whole face.
     """
 
     shapes: Shapes
@@ -88,6 +90,7 @@ class Contacts:
     friction: Tensor
     eps: Tensor
     anchor: Tensor
+    ends: Tensor | None = None
 
     def shrunk(self, offset: Tensor) -> "Contacts":
         """With indenters shrunk by other offsets (s,) [mm]."""
@@ -125,7 +128,7 @@ class Contacts:
 
     def evaluate(self, x: Tensor) -> Forces:
         """Forces and tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_contact
 
             return Forces(*gpu_contact.forces(self, x))
@@ -146,7 +149,7 @@ class Contacts:
     def merits(self, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
         """Energy (s, t) [N mm] of the barrier and of friction after fractions (s, t) of steps p (s, n, 3) from x, with
         the normal forces and normals of `frozen`."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_contact
 
             return gpu_contact.merits(self, x, p, fractions, frozen)

@@ -52,6 +52,10 @@ class Quadratics:
 def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
     """Nodal forces (s, n, c) of forces (s, f, q, c) at points; corner by corner, since on a grid a node is a certain
     corner of one facet only: so the order of summation is always the same."""
+    if contact.ends is not None:
+        from tacgen.tensor_engine import gpu_facets
+
+        return gpu_facets.at_nodes(contact.ends, contact.N, forces)
     parts = contact.N.T @ forces
     out = forces.new_zeros(len(forces), nodes, forces.shape[-1])
     for corner in range(4):

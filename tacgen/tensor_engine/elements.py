@@ -64,7 +64,8 @@ class Topology:
         place = np.arange(flat.size) - np.searchsorted(flat[order], flat[order])
         around = np.full((nodes, 8), flat.size)
         around[flat[order], place] = order
-        conn, near, face = (torch.tensor(part, dtype=torch.long, device=device) for part in (cells, around, facets))
+        numbers = (np.ascontiguousarray(part) for part in (cells, around, facets))
+        conn, near, face = (torch.tensor(part, dtype=torch.long, device=device) for part in numbers)
         return cls(conn, near, face, nodes)
 
     def at_nodes(self, parts: Tensor) -> Tensor:

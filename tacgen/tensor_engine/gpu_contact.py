@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 NOWHERE = tl.constexpr(1e9)  # gap of facets that do not exist [mm]
 SOFTEST = tl.constexpr(SOFT)
-COUNTS = ("count", "nodes", "q", "trials")  # no code of its own for each value that they may have
+COUNTS = ("count", "nodes", "apart", "q", "trials")  # no code of its own for each value that they may have
 
 
 @triton.jit
-def _point(X, CONN, N, scene, k, nodes, facets, q, inside):
+def _point(X, CONN, N, scene, k, nodes, apart, q, inside):
     """The points number k (facet q + point) of nodes X."""
     x, y, z = 0.0, 0.0, 0.0
     for corner in tl.static_range(4):
         weight = tl.load(N + 4 * (k % q) + corner, mask=inside, other=0.0)
-        node = tl.load(CONN + (scene * facets + k // q) * 4 + corner, mask=inside, other=0)
+        node = tl.load(CONN + scene * apart + k // q * 4 + corner, mask=inside, other=0)
         at = X + 3 * (scene * nodes + node)
         x += weight * tl.load(at, mask=inside, other=0.0)
         y += weight * tl.load(at + 1, mask=inside, other=0.0)
@@ -99,18 +99,17 @@ def _store_row(at, stored, flat, g, gx, gy, gz, soft, hx, hy, hz, pull, px, py, 
 
 @triton.jit(do_not_specialize=COUNTS)
 def _forces(
-    X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR,
-    GAP, AT, NORMAL, FORCE, PUSH, TANGENT, DEFINITE, count, nodes, q, SIZE: tl.constexpr,
+    X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR,
+    GAP, AT, NORMAL, FORCE, PUSH, TANGENT, DEFINITE, count, nodes, apart, q, SIZE: tl.constexpr,
 ):  # fmt: skip
     scene = tl.program_id(0).to(tl.int64)
     k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     inside = k < count
     number = scene * count + k
     area = tl.load(AREAS + number, mask=inside, other=0.0)
-    own = NUMBERS + 5 * scene
-    weight, dhat, offset = tl.load(own) * area, tl.load(own + 1), tl.load(own + 2)
-    mu, eps = tl.load(own + 3), tl.load(own + 4)
-    x, y, z = _point(X, CONN, N, scene, k, nodes, count // q, q, inside)
+    weight, dhat, offset = tl.load(KAPPA + scene) * area, tl.load(DHAT + scene), tl.load(OFFSET + scene)
+    mu, eps = tl.load(MU + scene), tl.load(EPS + scene)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
     d, gx, gy, gz, xx, yy, zz, xy, xz, yz = _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES)
     r = R + 9 * scene
     gx, gy, gz = _turned(r, gx, gy, gz)
@@ -173,19 +172,18 @@ def _forces(
 
 @triton.jit(do_not_specialize=COUNTS)
 def _merits(
-    X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR, NORMAL, FORCE, OUT,
-    count, nodes, q, trials, SIZE: tl.constexpr,
+    X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR, NORMAL, FORCE, OUT,
+    count, nodes, apart, q, trials, SIZE: tl.constexpr,
 ):  # fmt: skip
     scene, trial = tl.program_id(0).to(tl.int64), tl.program_id(1)
-    own = NUMBERS + 5 * scene
-    kappa, dhat, offset = tl.load(own), tl.load(own + 1), tl.load(own + 2)
-    mu, eps, fraction = tl.load(own + 3), tl.load(own + 4), tl.load(FRACTIONS + scene * trials + trial)
+    kappa, dhat, offset = tl.load(KAPPA + scene), tl.load(DHAT + scene), tl.load(OFFSET + scene)
+    mu, eps, fraction = tl.load(MU + scene), tl.load(EPS + scene), tl.load(FRACTIONS + scene * trials + trial)
     k = tl.program_id(2) * SIZE + tl.arange(0, SIZE)
     inside = k < count
     number = scene * count + k
     area = tl.load(AREAS + number, mask=inside, other=0.0)
-    x, y, z = _point(X, CONN, N, scene, k, nodes, count // q, q, inside)
-    px, py, pz = _point(STEP, CONN, N, scene, k, nodes, count // q, q, inside)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
+    px, py, pz = _point(STEP, CONN, N, scene, k, nodes, apart, q, inside)
     x, y, z = x + fraction * px, y + fraction * py, z + fraction * pz
     d, _, _, _, _, _, _, _, _, _ = _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES)
     s = d / dhat
@@ -210,20 +208,11 @@ def _merits(
 
 def _parts(c: Contacts) -> tuple[Tensor, ...]:
     """The parts of a contact that kernels take: facets, shape functions, areas, poses, shapes, numbers and anchors."""
-    numbers = torch.stack([c.kappa, c.dhat, c.offset, c.friction, c.eps], 1)
     parts = (
-        c.conn,
-        c.N,
-        c.areas,
-        c.rotation,
-        c.position,
-        c.shapes.kinds,
-        c.shapes.table,
-        c.shapes.values,
-        numbers,
-        c.anchor,
-    )
-    return tuple(part.contiguous() for part in parts)
+        c.N, c.areas, c.rotation, c.position, c.shapes.kinds, c.shapes.table, c.shapes.values,
+        c.kappa, c.dhat, c.offset, c.friction, c.eps, c.anchor,
+    )  # fmt: skip
+    return c.conn, *(part.contiguous() for part in parts)
 
 
 def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
@@ -232,7 +221,7 @@ def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
     shapes = ((), (3,), (3,), (), (3,), (3, 3), (3, 3))
     out = tuple(x.new_empty(s, f, q, *shape) for shape in shapes)
     if f * q:
-        counts = f * q, x.shape[1], q
+        counts = f * q, x.shape[1], c.conn.stride(0), q
         _forces[(s, triton.cdiv(f * q, POINTS))](x, *_parts(c), *out, *counts, SIZE=POINTS)
     return out
 
@@ -243,6 +232,6 @@ def merits(c: Contacts, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces)
     blocks = triton.cdiv(f * q, POINTS)
     out, given = x.new_empty(s, trials, blocks), (frozen.normal.contiguous(), frozen.N.contiguous())
     if out.numel():
-        counts = f * q, x.shape[1], q, trials
+        counts = f * q, x.shape[1], c.conn.stride(0), q, trials
         _merits[(s, trials, blocks)](x, p, fractions.contiguous(), *_parts(c), *given, out, *counts, SIZE=POINTS)
     return out.sum(-1)

@@ -40,9 +40,14 @@ class Shapes:
         table, numbers = torch.tensor(rows, dtype=dtype, device=device), torch.arange(len(shapes), device=device)
         return cls(numbers, kinds, table, torch.cat(parts), tuple(shapes))
 
-    def rows(self, slots: Tensor) -> "Shapes":
-        """Only some scenes."""
-        return replace(self, numbers=self.numbers[slots], kinds=self.kinds[slots], table=self.table[slots])
+    @property
+    def rows(self) -> Distances:
+        """What has a row for each scene."""
+        return self.numbers, self.kinds, self.table
+
+    def only(self, numbers: Tensor, kinds: Tensor, table: Tensor) -> "Shapes":
+        """Only some scenes, with their rows."""
+        return replace(self, numbers=numbers, kinds=kinds, table=table)
 
     def replaced(self, slot: int, shape: Shape) -> "Shapes":
         """With another indenter of one scene of a whole batch; fields that no scene has any more are dropped."""
