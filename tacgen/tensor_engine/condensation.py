@@ -9,7 +9,7 @@ from tacgen.mechanics.bulk_newton import DAMPING_MAX
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import Quadratics
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.reduction import Reduction, reduced
 
@@ -82,20 +82,17 @@ def reduce(b: Batch, s: Tensor) -> None:
 
 def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor]:
     """Keeps what `reduction.reduced` gives, and where what is eliminated is positive definite (s,)."""
-    k, wanted = sizes.unknowns, b.read("wanted", s, sizes.unknowns)
+    wanted = b.read("wanted", s, sizes.unknowns)
     part, definite = reduced(_damped(b, sizes, s, *damping), wanted, sizes.kept)
-    none = {"kept": torch.where(part.kept == k, -1, part.kept)}
-    none["place"] = torch.where(part.place == part.kept.shape[1], -1, part.place)
-    b.keep(s, G=part.G, X=part.X, K=part.K, active=wanted, **none)
+    b.keep(s, G=part.G, X=part.X, K=part.K, kept=part.kept, place=part.place, active=wanted)
     return (definite,)
 
 
 def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:
     """The reductions that are kept, in the sizes of a call."""
     k, a = sizes.unknowns, sizes.kept
-    kept, place = b.read("kept", s, a), b.read("place", s, k)
-    parts = b.wide("G", k, k), b.wide("X", k, a), b.read("K", s, a, a)
-    return Reduction(torch.where(kept < 0, k, kept), torch.where(place < 0, a, place), *parts, s)
+    kept, place = gathered(s, b.wide("kept", a), b.wide("place", k))
+    return Reduction(kept, place, b.wide("G", k, k), b.wide("X", k, a), b.wide("K", a, a), s)
 
 
 def acted(b: Batch, sizes: Sizes, s: Tensor, conn: Tensor, facets: Tensor, kept: Tensor) -> tuple[Tensor, ...]:

@@ -43,9 +43,9 @@ class Quadratics:
     def solve(self, contact: Contacts, D: Tensor, g: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """The steps (s, m, 3) that balance g with tangents D (s, f, q, 3, 3) of the contact, and which exist (s,)."""
         assert self.reduction is not None
-        K = self.reduction.K
-        K = with_points(K, self.reduction.place, contact.conn, contact.N.to(K.dtype), D.to(K.dtype))
-        p, good = self.reduction.solve(K, -g.flatten(1), symmetric)
+        part, facets = self.reduction, (contact.conn, contact.ends, contact.N)
+        K = with_points(part.K, part.slots, part.kept, part.place, *facets, D)
+        p, good = part.solve(K, -g.flatten(1), symmetric)
         return p.view_as(g), good
 
 

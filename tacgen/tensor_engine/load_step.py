@@ -146,8 +146,8 @@ def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor]:
     ties = torch.where(contact.areas > 0, TIE * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0)[..., None]
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
     place = torch.arange(k, device=s.device).expand(len(s), -1)
-    S = b.read("S", s, k, k)
-    K = with_points(S, place, contact.conn, contact.N.to(S.dtype), (ties[..., None] * eye).to(S.dtype))
+    S, facets = b.wide("S", k, k), (contact.conn, contact.ends, contact.N)
+    K = with_points(S, s, place, place, *facets, ties[..., None] * eye)
     pull = at_nodes(contact, ties * motion[row, faces], k // 3).flatten(1)
     u, good = solved_by_root(K, pull[..., None].to(S.dtype))
     good = good & (ties > 0).flatten(1).any(1)
