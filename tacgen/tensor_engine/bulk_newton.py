@@ -20,7 +20,7 @@ from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Course, PartOfStep, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 
 ENDS = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
@@ -135,17 +135,19 @@ def _stepped(b: Batch, s: Tensor, symmetric: bool) -> list[int]:
     sizes, damped = b.sizes(s), damping(b, s)
     key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), symmetric), partial(_contact, b, sizes, symmetric)
     x, offset, steps, length, drift, gap, status = b.replays(key, work, s, *damped)
+    b.t.c_x[s, : sizes.nodes] = x
     b.t.put(
-        s, c_x=x, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
+        s, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
     )  # fmt: skip
     out: list[int] = status.tolist()
     return out
 
 
 def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
-    t, near = b.t, b.near(s, b.t.c_offset[s], sizes.nodes)
-    x = t.c_x[s, : sizes.nodes]
-    return Iterates(x, near, t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_gap[s], t.c_status[s])
+    t = b.t
+    each = t.c_x[:, : sizes.nodes], t.c_offset, t.c_steps, t.c_length, t.c_drift, t.c_gap, t.c_status
+    x, offset, *rest = gathered(s, *each)
+    return Iterates(x, b.near(s, offset, sizes.nodes), *rest)
 
 
 def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
@@ -158,11 +160,9 @@ def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ..
 def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
     """The contact's tensors after a step, in the order of contact_newton.Iterates."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
-    now = _iterates(b, sizes, s)
-    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact, symmetric)
-    x = b.t.c_x[s]
-    x[:, : sizes.nodes] = after.x
-    return x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
+    now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
+    after = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
+    return after.x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
 
 
 def damp(b: Batch, s: Tensor) -> list[Outcome]:

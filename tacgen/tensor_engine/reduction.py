@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.multifrontal import BASE, half, invert_factor
 from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.replay import rare
@@ -33,15 +34,26 @@ class Reduction:
     def solve(self, K: Tensor, b: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """x (s, k) of (S + contact) x = b (s, k), with K (s, a, a) of both on the kept unknowns, and which exist (s,):
         K is not singular or, if symmetric, is positive definite."""
-        to, b, row = b.dtype, b.to(K.dtype), torch.arange(len(b), device=b.device)[:, None]
-        right = _padded(b)[row, self.kept] - slot_times(self.X, self.slots, b, True)
-        x, good = (solved_by_root if symmetric else solved)(K, right[..., None])
+        to, b, slots = b.dtype, b.to(K.dtype), self.slots
+        x, good = (solved_by_root if symmetric else solved)(K, self._right(b)[..., None])
         x = x.squeeze(-1)
-        out = _padded(slot_times(self.G, self.slots, b) - slot_times(self.X, self.slots, x))
-        out[row, self.kept] = x
-        out = out[:, :-1]
+        G, X = slot_times(self.G, slots, b), slot_times(self.X, slots, x)
+        if devices.by_kernels(b):
+            from tacgen.tensor_engine import gpu_steps
+
+            return gpu_steps.joined(G, X, x, self.place, good, to)
+        out = torch.where(self.place < 0, G - X, _padded(x).gather(1, self.place % (x.shape[1] + 1)))
         good = good & torch.isfinite(out).all(1)
         return torch.where(good[:, None], out, 0.0).to(to), good
+
+    def _right(self, b: Tensor) -> Tensor:
+        """b (s, k) on the kept unknowns (s, a), with the eliminated ones' part."""
+        beside = slot_times(self.X, self.slots, b, True)
+        if devices.by_kernels(b):
+            from tacgen.tensor_engine import gpu_steps
+
+            return gpu_steps.right(b, self.kept, beside)
+        return _padded(b).gather(1, self.kept % (b.shape[1] + 1)) - beside
 
 
 def solved_by_root(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
@@ -68,12 +80,21 @@ def solved_by_inverse(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     invert(inverse)
     x = inverse @ b
     x = x + inverse @ (b - K @ x)
-    good = (b - K @ x).abs().amax((1, 2)) <= EXACT * b.abs().amax((1, 2))
+    good = _exact(b, K @ x)
     if rare(~good):  # not a number is not small
         bad = torch.nonzero(~good).squeeze(1)
         some, regular = solved(K[bad].double(), b[bad].double())
         x[bad], good[bad] = some.to(x.dtype), regular
     return x, good
+
+
+def _exact(b: Tensor, product: Tensor) -> Tensor:
+    """Whether right-hand sides b (s, a, 1) and those of solutions are equal enough (s,)."""
+    if devices.by_kernels(b):
+        from tacgen.tensor_engine import gpu_steps
+
+        return gpu_steps.exact(b, product, EXACT)
+    return (b - product).abs().amax((1, 2)) <= EXACT * b.abs().amax((1, 2))
 
 
 def invert(A: Tensor) -> None:
