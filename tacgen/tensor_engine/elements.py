@@ -15,6 +15,7 @@ from tacgen.fem.elasticity import PREDICTED, SMALLEST_J
 from tacgen.fem.elements import GAUSS2, trilinear
 from tacgen.fem.kernels import MILD
 from tacgen.fem.potential import Projection
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
 from tacgen.tensor_engine.products import outer, product
@@ -136,7 +137,7 @@ class Hexes:
 
     def energy(self, x: Tensor) -> Tensor:
         """The energy (s,) [N mm] at positions x (s, n, 3), inf if a cell is inverted at a point."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return gpu_elements.states(self, x, False)[0].sum(1)
@@ -144,7 +145,7 @@ class Hexes:
 
     def gradient(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """J (s, e, q), 1 where a cell is inverted, and dE/dx (s, n, 3) [N] at positions x (s, n, 3)."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             _, J, forces = gpu_elements.states(self, x, True)
@@ -155,7 +156,7 @@ class Hexes:
     def mixed_forces(self, x: Tensor, J: Tensor, taken: Tensor) -> Tensor:
         """Right-hand side (s, n, 3) at x of a step whose tangent was computed at F = `taken`, with the predicted J; see
         fem.elasticity.Elastic.mixed_forces."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return self.topology.at_nodes(gpu_elements.states(self, x, True, J, taken)[2])
@@ -166,7 +167,7 @@ class Hexes:
 
     def predicted(self, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
         """J (s, e, q) at positions `to`, to first order from J at x (s, n, 3), linearised at F = `taken`."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return gpu_elements.predictions(self, x, to, taken)
@@ -194,7 +195,7 @@ class Hexes:
     ) -> tuple[Tensor, Tensor]:
         """F (s, e, q, 3, 3) at x (s, n, 3) and d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner +
         direction; with the pressure at the predicted J if given. dtype: in which they are computed."""
-        if x.is_cuda and projection is Projection.NONE and dtype is torch.float32:
+        if devices.by_kernels(x) and projection is Projection.NONE and dtype is torch.float32:
             from tacgen.tensor_engine import gpu_tangents
 
             return gpu_tangents.tangents(self, x, J)

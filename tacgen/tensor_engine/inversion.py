@@ -14,6 +14,7 @@ from tacgen.fem.elements import grid_points
 from tacgen.fem.folding_barrier import J0, STIFFNESS
 from tacgen.fem.jacobian import DEPTH, TABLES
 from tacgen.fem.potential import Projection
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.elements import Topology, clamped, cofactor, determinant, mapped, slopes, stiffness
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import clamped_log
@@ -111,7 +112,7 @@ class FoldingBarriers:
 
     def _lowest(self, x: Tensor) -> Tensor:
         """The lowest J of each cell (s, e) at the dense points."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return gpu_elements.lowest(self.topology, x, self.rest)

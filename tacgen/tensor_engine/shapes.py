@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.scope import KINDS, NUMBERS
 
 Distances = tuple[Tensor, Tensor, Tensor]
@@ -65,7 +66,7 @@ class Shapes:
     def distance(self, p: Tensor) -> Distances:
         """Signed distance [mm] (s, k), its gradient (s, k, 3) and Hessian [1/mm] (s, k, 3, 3) at points p (s, k, 3) in
         each indenter's own frame."""
-        if p.is_cuda:
+        if devices.by_kernels(p):
             from tacgen.tensor_engine import gpu_distance
 
             return gpu_distance.distances(p, self.kinds, self.table, self.values)
