@@ -191,7 +191,7 @@ def _downhill(FRACTIONS, FIGURES, MERITS, OUT, trials, LEAST: tl.constexpr, TRIA
     merit = tl.load(own) + fraction * linear + fraction * fraction * square / 2
     merit += tl.load(MERITS + scene * trials + j, mask=inside, other=0.0)
     here = tl.sum(tl.where(j == 0, merit, 0.0), 0)
-    most = here + RISE * tl.abs(here) + DECREASE * fraction * slope
+    most = here + RISE * tl.abs(here) + DECREASE * fraction * tl.minimum(slope, 0.0)
     lower = inside & (j > 0) & (merit <= most) & (fraction >= LEAST)
     first = tl.min(tl.where(lower, j, TRIALS), 0)
     found = tl.where(slope <= 0, tl.sum(tl.where(j == first, fraction, 0.0), 0), 0.0)
@@ -234,6 +234,7 @@ def _ended(
         part = tl.minimum(part, tl.where(step != 0, room / tl.maximum(tl.abs(step), 1e-300), INFINITE))
         i += SIZE
     gone, part = tl.max(farthest, 0) > radius, tl.maximum(tl.min(part, 0), 0.0)
+    part = tl.where(part < INFINITE, part, 0.0)  # nothing moves
     steps, fraction, longest = tl.load(STEPS + scene), tl.load(FRACTION + scene), tl.load(FIGURES + 6 * scene + 4)
     offset, drift, xtol = tl.load(OFFSET + scene), tl.load(DRIFT + scene), tl.load(XTOL + scene)
     going, stuck, small = steps < most, fraction == 0, longest <= xtol
