@@ -341,17 +341,16 @@ class Batch:
 
     def folded(self, s: Tensor, x: Tensor) -> Folding:
         """The barrier against inversion in scenes s at x (s, n, 3)."""
-        return self.folding.rows(s).evaluate(x, self.t.folds[s])
+        return self.folding.rows(s).evaluate(x, self.t.folds)
 
     def energy(self, s: Tensor, x: Tensor) -> Tensor:
         """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""
-        return self.hexes.rows(s).energy(x) + self.folded(s, x).energy
+        return self.hexes.rows(s).energy(x) + self.folding.rows(s).energy(x, self.t.folds)
 
     def gradient(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         """J (s, e, q), and the gradient of the energy (s, n, 3) [N]."""
         J, out = self.hexes.rows(s).gradient(x)
-        self.folded(s, x).add_forces(out)
-        return J, out
+        return J, out + self.folding.rows(s).gradient(x, self.t.folds)
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""

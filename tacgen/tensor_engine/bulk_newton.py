@@ -84,7 +84,7 @@ def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[()]:
     t = b.t
     x = t.x[s]
     g = b.hexes.rows(s).mixed_forces(x, t.J[s], t.taken[s])
-    b.folded(s, x).add_forces(g)
+    g = g + b.folding.rows(s).gradient(x, t.folds)
     y, load = b.factors.forward(s, g, sizes.nodes)
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))

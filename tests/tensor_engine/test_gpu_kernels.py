@@ -134,7 +134,7 @@ def test_lowest_jacobians_of_cells() -> None:
     case = test_elements.Case()
     x, one = case.tensor(case.x), torch.ones(case.exists.shape, dtype=torch.float64)
     barriers = FoldingBarriers.on(case.topology, case.X, one, one)
-    assert close(gpu_elements.lowest(case.topology, x, barriers.rest), barriers._lowest(x))
+    assert close(gpu_elements.lowest(case.topology, x, barriers.rest), barriers._lowest(x, barriers.rest))
 
 
 @pytest.mark.parametrize("shape", [(6, 70, 100), (6, 3, 20, 5), (6, 3, 0, 5)])
@@ -149,3 +149,24 @@ def test_products_of_matrices_in_slots(shape: tuple[int, ...], transposed: bool)
     found = gpu_blocks.slot_times(*parts, transposed)
     assert found.shape == wanted.shape
     assert not wanted.numel() or close(found, wanted, 1e-12)
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+def test_the_barrier_of_cells() -> None:
+    """Of scenes in other slots than their own, with an inverted cell and a void one."""
+    case, slots = test_elements.Case(), torch.tensor([3, 4, 0, 1])
+    mu, times = torch.linspace(0.1, 0.4, case.exists.numel()).double().view(case.exists.shape), torch.arange(5.0) + 1
+    volume = case.many.weights.sum(-1)
+    volume[0, 0] = 0.0
+    barrier = FoldingBarriers.on(case.topology, case.X, volume, mu).rows(slots)
+    x = (case.X + 0.6 * (case.tensor(test_elements.folded(case)) - case.X))[slots]
+    x[1, 0] += 1.0
+    energy, parts = gpu_elements.folds(barrier, x, times.double(), True)
+    wanted, forces = barrier.energy(x, times.double()), barrier.gradient(x, times.double())
+    assert torch.isinf(energy.sum(1)).tolist() == torch.isinf(wanted).tolist() == [False, True, False, False]
+    assert close(energy.sum(1)[[0, 2, 3], None], wanted[[0, 2, 3], None])
+    assert (wanted > 0).tolist() == [True, True, False, True]  # the only folded cell of slot 0 is void
+    at = gpu_elements.at_nodes(case.topology, parts)
+    assert close(at[[0, 2, 3]], forces[[0, 2, 3]])
+    assert close(at, case.topology.at_nodes(parts))
+    assert torch.equal(gpu_elements.folds(barrier, x, times.double(), False)[0], energy)
