@@ -123,9 +123,12 @@ class Hexes:
     @cached_property
     def own(self) -> tuple[Tensor, Tensor, Tensor]:
         """B, weights and numbers of the laws of the scenes of a call."""
-        if self.slots is None:
-            return self.B, self.weights, self.laws.values
-        return self.B[self.slots], self.weights[self.slots], self.laws.values[:, self.slots]
+        values = self.laws.values if self.slots is None else self.laws.values[:, self.slots]
+        return self._read(self.B), self._read(self.weights), values
+
+    def _read(self, part: Tensor) -> Tensor:
+        """Rows of the scenes of a call."""
+        return part if self.slots is None else part[self.slots]
 
     def deformation(self, x: Tensor) -> Tensor:
         """F (s, e, q, 3, 3) at positions x (s, n, 3)."""
@@ -158,25 +161,26 @@ class Hexes:
         return at.J, self._spread(_piola(at.F, at.I1, at.first, self.laws.two_invariants))
 
     def mixed_forces(self, x: Tensor, J: Tensor, taken: Tensor) -> Tensor:
-        """Right-hand side (s, n, 3) at x of a step whose tangent was computed at F = `taken`, with the predicted J; see
-        fem.elasticity.Elastic.mixed_forces."""
+        """Right-hand side (s, n, 3) at x of a step whose tangent was computed at F = `taken` (capacity, e, q, 3, 3),
+        with the predicted J (capacity, e, q); see fem.elasticity.Elastic.mixed_forces."""
         if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return self.topology.at_nodes(gpu_elements.states(self, x, True, J, taken)[2])
-        at = self.evaluate(x)
-        first = self._with_pressure(at, J)
+        at, taken = self.evaluate(x), self._read(taken)
+        first = self._with_pressure(at, self._read(J))
         P = _piola(at.F, at.I1, first, self.laws.two_invariants)
         return self._spread(P + (at.first[2] - first[2])[..., None, None] * cofactor(taken))
 
     def predicted(self, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
-        """J (s, e, q) at positions `to`, to first order from J at x (s, n, 3), linearised at F = `taken`."""
+        """J (s, e, q) at positions `to`, to first order from J at x (s, n, 3), linearised at F = `taken`
+        (capacity, e, q, 3, 3)."""
         if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return gpu_elements.predictions(self, x, to, taken)
         F = self.deformation(x)
-        return determinant(F) + (cofactor(taken) * (self.deformation(to) - F)).sum((-2, -1))
+        return determinant(F) + (cofactor(self._read(taken)) * (self.deformation(to) - F)).sum((-2, -1))
 
     def _spread(self, P: Tensor) -> Tensor:
         """Nodal forces (s, n, 3) of stresses P (s, e, q, 3, 3)."""

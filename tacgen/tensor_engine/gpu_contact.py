@@ -215,6 +215,31 @@ def _parts(c: Contacts) -> tuple[Tensor, ...]:
     return c.conn, *(part.contiguous() for part in parts)
 
 
+@triton.jit(do_not_specialize=COUNTS)
+def _gaps(
+    X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, OFFSET, OUT, count, nodes, apart, q, SIZE: tl.constexpr
+):  # fmt: skip
+    scene, k = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = k < count
+    area = tl.load(AREAS + scene * count + k, mask=inside, other=0.0)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
+    d, _, _, _, _, _, _, _, _, _ = _gap(
+        x, y, z, scene, area, tl.load(OFFSET + scene), R, POSITION, KIND, TABLE, VALUES
+    )
+    tl.store(OUT + scene * count + k, d, mask=inside)
+
+
+def gaps(c: Contacts, x: Tensor) -> Tensor:
+    """contact.Contacts.gap_at_nodes."""
+    (s, f, q), x = c.areas.shape, x.contiguous()
+    out = x.new_empty(s, f, q)
+    if f * q:
+        conn, N, areas, *parts = _parts(c)
+        counts = f * q, x.shape[1], c.conn.stride(0), q
+        _gaps[(s, triton.cdiv(f * q, POINTS))](x, conn, N, areas, *parts[:5], c.offset, out, *counts, SIZE=POINTS)
+    return out
+
+
 def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
     """The parts of contact.Forces with tangents at nodes x (s, n, 3)."""
     (s, f, q), x = c.areas.shape, x.contiguous()

@@ -135,7 +135,7 @@ def _states(
         J = tl.where(good, J, 1.0)
         total, mean = total + w, mean + w * J
         if MIXED:
-            P = tl.load(AHEAD + 8 * own + k, mask=inside, other=1.0)
+            P = tl.load(AHEAD + 8 * first + k, mask=inside, other=1.0)
             ahead += w * tl.minimum(tl.maximum(P, J / MOST), MOST * J)
     void = total <= 0
     volume = tl.where(void, 1.0, total)
@@ -180,7 +180,7 @@ def _states(
             r = 0 * w
             if MIXED:  # the pressure that the prediction lacks acts on the cofactor of the last tangent
                 r = -w * change
-                ta, tb, tc, td, tf, tg, th, ti, tj = _matrix(TAKEN + 9 * (8 * own + k), inside)
+                ta, tb, tc, td, tf, tg, th, ti, tj = _matrix(TAKEN + 9 * (8 * first + k), inside)
                 ka, kb, kc, kd, kf, kg, kh, ki, kj = cofactor(ta, tb, tc, td, tf, tg, th, ti, tj)
             fx = _turned(fx, u * a + v * ca + r * ka + m * (a * xx + b * xy + c * xz),
                          u * b + v * cb + r * kb + m * (a * xy + b * yy + c * yz),
@@ -210,7 +210,7 @@ def _predictions(X, TO, CONN, B, SLOTS, TAKEN, OUT, cells, nodes, capacity, SIZE
     px, py, pz = _corners(TO, CONN, scene, cell, nodes, inside)
     for k in range(8):
         bx, by, bz = _slopes(B, first, k, inside)
-        a, b, c, d, f, g, h, i, j = _matrix(TAKEN + 9 * (8 * own + k), inside)
+        a, b, c, d, f, g, h, i, j = _matrix(TAKEN + 9 * (8 * first + k), inside)
         ca, cb, cc, cd, cf, cg, ch, ci, cj = cofactor(a, b, c, d, f, g, h, i, j)
         p, q, r = _row(px - x, bx, by, bz)
         u, v, w = _row(py - y, bx, by, bz)
@@ -304,7 +304,7 @@ def states(
     hexes: Hexes, x: Tensor, want: bool, ahead: Tensor | None = None, taken: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Energies (s, e) of cells at x (s, n, 3), inf where one is inverted; if wanted J (s, e, 8) at their points and
-    forces (s, e, 8, 3) on their corners. With J `ahead` and F `taken`: forces of elements.Hexes.mixed_forces."""
+    forces (s, e, 8, 3) on their corners. With J `ahead` and F `taken`, as elements.Hexes.mixed_forces: its forces."""
     s, (e, _), mixed = len(x), hexes.topology.conn.shape, ahead is not None
     energy, J = x.new_empty(s, e), x.new_empty((s, e, 8) if want else 0)
     forces = x.new_empty((s, e, 8, 3) if want else 0)
@@ -317,7 +317,7 @@ def states(
 
 
 def predictions(hexes: Hexes, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
-    """J (s, e, 8) at positions `to` (s, n, 3) to first order from x, linearised at F `taken` (s, e, 8, 3, 3)."""
+    """J (s, e, 8) at positions `to` (s, n, 3) to first order from x, linearised at F `taken` (capacity, e, 8, 3, 3)."""
     s, (e, _) = len(x), hexes.topology.conn.shape
     out = x.new_empty(s, e, 8)
     _predictions[_grid(s, e)](

@@ -37,7 +37,7 @@ def begin(b: Batch, s: Tensor) -> list[Outcome]:
         folds=torch.ones_like(t.folds[s]), motion=torch.zeros_like(t.motion[s]),
     )  # fmt: skip
     contact = b.face(s, t.offset[s])
-    gap = contact.gap(contact.points(t.h_x[s]))
+    gap = contact.gap_at_nodes(t.h_x[s])
     touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)
     apart = ~touching.any(-1)
     usable = torch.tensor([course.usable for course in courses], device=s.device)

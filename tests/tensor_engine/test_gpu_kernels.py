@@ -98,7 +98,8 @@ def test_energy_and_forces_of_cells() -> None:
     hexes = Hexes.on(case.topology, case.X, exists, case.laws).rows(slots)
     x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
     x[4, 0] += 1.5
-    taken = hexes.deformation(there)
+    taken, ahead = torch.zeros(5, 27, 8, 3, 3, dtype=x.dtype), torch.zeros(5, 27, 8, dtype=x.dtype)
+    taken[slots] = hexes.deformation(there)
     J, forces = hexes.gradient(x)
     energy, found, parts = gpu_elements.states(hexes, x, True)
     assert torch.isinf(hexes.energy(x)).tolist() == torch.isinf(energy.sum(1)).tolist() == [False] * 4 + [True]
@@ -110,7 +111,7 @@ def test_energy_and_forces_of_cells() -> None:
         ("predicted", gpu_elements.predictions(hexes, there, x, taken), hexes.predicted(there, x, taken)),
     ):
         assert close(one[:4], other[:4]), name
-    ahead = hexes.predicted(there, x, taken)
+    ahead[slots] = hexes.predicted(there, x, taken)
     mixed = case.topology.at_nodes(gpu_elements.states(hexes, x, True, ahead, taken)[2])
     wanted = hexes.mixed_forces(x, ahead, taken)
     assert close(mixed[:4], wanted[:4])
@@ -123,7 +124,7 @@ def test_tangents_of_cells(mixed: bool) -> None:
     case, slots = test_elements.Case(), torch.tensor([3, 1, 0])
     hexes = Hexes.on(case.topology, case.X, case.exists, case.laws).rows(slots)
     x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
-    J = hexes.predicted(there, x, hexes.deformation(there)) if mixed else None
+    J = hexes.predicted(there, x, case.many.deformation(case.tensor(case.taken))) if mixed else None
     F, wanted = hexes.tangents(x, J)
     found, K = gpu_tangents.tangents(hexes, x, J)
     assert close(found, F)
