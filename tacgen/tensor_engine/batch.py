@@ -24,7 +24,7 @@ from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
-from tacgen.tensor_engine.indices import gathered, index_of, listed
+from tacgen.tensor_engine.indices import gathered, index_of, listed, put
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws
 from tacgen.tensor_engine.replay import Replays
@@ -156,9 +156,8 @@ class Tensors:
         raise AttributeError(name)
 
     def put(self, slots: Tensor, **values: Tensor) -> None:
-        """Write rows."""
-        for name, value in values.items():
-            getattr(self, name)[slots] = value
+        """Write rows, on a GPU in one launch."""
+        put(slots, tuple(getattr(self, name) for name in values), tuple(values.values()))
 
 
 @dataclass

@@ -151,10 +151,9 @@ def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
 
 
 def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
-    """As condensation.acted, for the facets that the indenter touches."""
+    """As condensation.acted, for the forces at the iterates."""
     now = _iterates(b, sizes, s)
-    facets = (shrunk(now)[0].evaluate(now.x).N > 0).any(-1)
-    return acted(b, sizes, s, now.contact.conn, facets, valid)
+    return acted(b, sizes, s, now.contact, shrunk(now)[0].evaluate(now.x).N, valid)
 
 
 def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:

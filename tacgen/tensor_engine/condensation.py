@@ -8,6 +8,7 @@ from torch import Tensor
 from tacgen.mechanics.bulk_newton import DAMPING_MAX
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.tensor_engine.batch import Batch, Sizes
+from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import Quadratics
 from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.products import slot_times
@@ -95,15 +96,19 @@ def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:
     return Reduction(kept, place, b.wide("G", k, k), b.wide("X", k, a), b.wide("K", a, a), s)
 
 
-def acted(b: Batch, sizes: Sizes, s: Tensor, conn: Tensor, facets: Tensor, kept: Tensor) -> tuple[Tensor, ...]:
+def acted(b: Batch, sizes: Sizes, s: Tensor, contact: Contacts, N: Tensor, kept: Tensor) -> tuple[Tensor, ...]:
     """Marks as `wanted` the unknowns on which contact has acted since the last tangent or change of damping, if those
-    of the reduction are `kept` (s,), and those of marked facets (s, f) of conn (s, f, 4).
+    of the reduction are `kept` (s,), and those of facets at a point of which it acts with N > 0 (s, f, q).
 
     Returns where they are more than those to which the bulk is reduced (s,) bool, and how many they are (s,).
     """
-    k = sizes.unknowns
+    if contact.ends is not None:
+        from tacgen.tensor_engine import gpu_facets
+
+        return gpu_facets.acted(s, contact.ends, N, b.t.active, kept, b.t.wanted)
+    k, facets = sizes.unknowns, (N > 0).any(-1)
     own = torch.zeros(len(s), k // 3 + 1, dtype=torch.bool, device=s.device)
-    own = own.scatter(1, torch.where(facets[..., None], conn, k // 3).flatten(1), True)
+    own = own.scatter(1, torch.where(facets[..., None], contact.conn, k // 3).flatten(1), True)
     new, active = own[:, :-1].repeat_interleave(3, 1), b.read("active", s, k)
     wanted = new | (active & (kept > 0)[:, None])
     b.keep(s, wanted=wanted)

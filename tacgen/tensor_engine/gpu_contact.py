@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import torch
 import triton
 import triton.language as tl
 from torch import Tensor
@@ -172,8 +171,8 @@ def _forces(
 
 @triton.jit(do_not_specialize=COUNTS)
 def _merits(
-    X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR, NORMAL, FORCE, OUT,
-    count, nodes, apart, q, trials, SIZE: tl.constexpr,
+    X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR,
+    NORMAL, FORCE, OUT, count, nodes, apart, q, trials, SIZE: tl.constexpr,
 ):  # fmt: skip
     scene, trial = tl.program_id(0).to(tl.int64), tl.program_id(1)
     kappa, dhat, offset = tl.load(KAPPA + scene), tl.load(DHAT + scene), tl.load(OFFSET + scene)
@@ -223,9 +222,7 @@ def _gaps(
     inside = k < count
     area = tl.load(AREAS + scene * count + k, mask=inside, other=0.0)
     x, y, z = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
-    d, _, _, _, _, _, _, _, _, _ = _gap(
-        x, y, z, scene, area, tl.load(OFFSET + scene), R, POSITION, KIND, TABLE, VALUES
-    )
+    d, _, _, _, _, _, _, _, _, _ = _gap(x, y, z, scene, area, tl.load(OFFSET + scene), R, POSITION, KIND, TABLE, VALUES)
     tl.store(OUT + scene * count + k, d, mask=inside)
 
 

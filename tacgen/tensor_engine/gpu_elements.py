@@ -339,9 +339,9 @@ def lowest(topology: Topology, x: Tensor, rest: Tensor) -> Tensor:
 
 
 def folds(barriers: FoldingBarriers, x: Tensor, times: Tensor, want: bool) -> tuple[Tensor, Tensor]:
-    """Energies (s, e) of the barrier against inversion in cells at x (s, n, 3), inf where one is inverted, and if wanted
-    forces (s, e, 8, 3) on their corners; times (capacity,) of the stiffness."""
-    s, e = barriers.numbers.shape[0], barriers.topology.conn.shape[0]
+    """Energies (s, e) of the barrier against inversion in cells at x (s, n, 3), inf where one is inverted, and, if
+    wanted, forces (s, e, 8, 3) on their corners; times (capacity,): factors of the stiffness."""
+    s, e = len(x), len(barriers.topology.conn)
     energy, forces = x.new_empty(s, e), x.new_empty((s, e, 8, 3) if want else 0)
     _folds[_grid(s, e)](
         x.contiguous(), barriers.topology.conn, constant(DENSE, x), barriers.rest, barriers.volume, barriers.mu, times,

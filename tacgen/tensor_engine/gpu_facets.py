@@ -5,7 +5,6 @@ In plain operations these are indices.gathered, batch.Batch.near and at_condense
 reduction.with_points.
 """
 
-import torch
 import triton
 import triton.language as tl
 from torch import Tensor
@@ -33,6 +32,24 @@ def rows(slots: Tensor, parts: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         grid = len(slots), triton.cdiv(max(widths), LANES)
         _rows[grid](slots, parts, out, widths, tuple(part.stride(0) for part in parts), SIZE=LANES)
     return out
+
+
+@triton.jit(do_not_specialize=("widths", "strides"))
+def _put(SLOTS, results, values, widths, strides, SIZE: tl.constexpr):
+    scene = tl.program_id(0).to(tl.int64)
+    slot, k = tl.load(SLOTS + scene), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    for i in tl.static_range(len(values)):
+        inside = k < widths[i]
+        value = tl.load(values[i] + scene * widths[i] + k, mask=inside)
+        tl.store(results[i] + slot * strides[i] + k, value, mask=inside)
+
+
+def put(slots: Tensor, results: tuple[Tensor, ...], values: tuple[Tensor, ...]) -> None:
+    """Write values (s, ...) to rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous."""
+    values = tuple(value.contiguous() for value in values)
+    widths = tuple(value[0].numel() for value in values)
+    grid = len(slots), triton.cdiv(max(widths), LANES)
+    _put[grid](slots, results, values, widths, tuple(part.stride(0) for part in results), SIZE=LANES)
 
 
 @triton.jit(do_not_specialize=COUNTS)
@@ -118,6 +135,42 @@ def at_nodes(ends: Tensor, N: Tensor, force: Tensor) -> Tensor:
     grid = s, triton.cdiv(c * nodes, LANES)
     _at_nodes[grid](ends, N, force.contiguous(), out, nodes, f, q, c, SIZE=LANES)
     return out
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _acted(SLOTS, ENDS, N, ACTIVE, KEPT, WANTED, STALE, COUNT, nodes, facets, q, row, SIZE: tl.constexpr):
+    scene, lane = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE)
+    slot, none = tl.load(SLOTS + scene), tl.load(KEPT + scene) == 0
+    count, more, i = tl.zeros((SIZE,), tl.int32), tl.zeros((SIZE,), tl.int32), 0
+    while i < row:
+        k = i + lane
+        inside, new = k < 3 * nodes, k < 0
+        for corner in tl.static_range(4):
+            facet = tl.load(ENDS + 4 * (nodes * scene + k // 3) + corner, mask=inside, other=-1)
+            point = 0
+            while point < q:
+                at = (scene * facets + facet) * q + point
+                new = new | (tl.load(N + at, mask=facet >= 0, other=0.0) > 0)
+                point += 1
+        active = tl.load(ACTIVE + slot * row + k, mask=inside, other=0) != 0
+        more = tl.where(new & ~active, 1, more)
+        wanted = new | (active & (tl.load(KEPT + scene + 0 * lane) > 0))
+        count += tl.where(wanted, 1, 0)
+        tl.store(WANTED + slot * row + k, wanted, mask=k < row)
+        i += SIZE
+    tl.store(STALE + scene, none | (tl.max(more, 0) > 0))
+    tl.store(COUNT + scene, tl.sum(count, 0))
+
+
+def acted(
+    slots: Tensor, ends: Tensor, N: Tensor, active: Tensor, kept: Tensor, wanted: Tensor
+) -> tuple[Tensor, Tensor]:
+    """condensation.acted, for forces N (s, f, q) at the points of facets; active and wanted (capacity, k): all rows."""
+    (s, nodes, _), (_, f, q) = ends.shape, N.shape
+    stale, count = wanted.new_empty(s), ends.new_empty(s)
+    sizes = nodes, f, q, active.shape[1]
+    _acted[(s,)](slots, ends, N, active, kept, wanted, stale, count, *sizes, SIZE=2 * LANES, num_warps=8)
+    return stale, count
 
 
 @triton.jit(do_not_specialize=COUNTS)

@@ -267,8 +267,8 @@ def ended(
     steps: Tensor, most: int, symmetric: bool,
 ) -> tuple[Tensor, ...]:  # fmt: skip
     """contact_newton.ended: positions, offsets, steps, lengths, drifts, mean gaps and status."""
-    given = (x, there, start, fraction, figures, N, gaps, radius, xtol, before, offset, length)
-    given += (old_drift, drift, old_gap, steps)
+    numbers = (radius, xtol, before, offset, length, old_drift, drift, old_gap, steps)
+    given = (x, there, start, fraction, figures, N, gaps, *numbers)
     out = tuple(torch.empty_like(like) for like in (x, offset, steps, length, drift, old_gap, steps))
     sizes = N[0].numel(), x[0].numel(), most
     _ended[(len(x),)](

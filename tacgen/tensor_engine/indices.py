@@ -35,6 +35,17 @@ def gathered(slots: Tensor, *parts: Tensor) -> tuple[Tensor, ...]:
     return tuple(part[slots] for part in parts)
 
 
+def put(slots: Tensor, tensors: tuple[Tensor, ...], values: tuple[Tensor, ...]) -> None:
+    """Write values (s, ...) to the rows at slots (s,) of tensors: the reverse of `gathered`."""
+    if devices.by_kernels(slots):
+        from tacgen.tensor_engine import gpu_facets
+
+        return gpu_facets.put(slots, tensors, values)
+    for rows, value in zip(tensors, values, strict=True):
+        rows[slots] = value
+    return None
+
+
 def listed(index: Tensor) -> list[int]:
     """The numbers of an index, from the host where it was made of a list by `index_of`."""
     rows: list[int] | None = getattr(index, "rows", None)
