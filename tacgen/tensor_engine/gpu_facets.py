@@ -110,20 +110,16 @@ def at_condensed(slots: Tensor, x: Tensor, numbers: Tensor, nodes: int) -> Tenso
 
 
 @triton.jit(do_not_specialize=COUNTS)
-def _at_nodes(ENDS, N, FORCE, OUT, nodes, facets, q, width, SIZE: tl.constexpr):
+def _at_nodes(ENDS, N, FORCE, OUT, nodes, facets, width, Q: tl.constexpr, SIZE: tl.constexpr):
     scene = tl.program_id(0).to(tl.int64)
     k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     inside = k < width * nodes
     total = tl.zeros((SIZE,), OUT.dtype.element_ty)
     for corner in tl.static_range(4):
         facet = tl.load(ENDS + 4 * (nodes * scene + k // width) + corner, mask=inside, other=-1)
-        there, point = facet >= 0, 0
-        part = tl.zeros((SIZE,), OUT.dtype.element_ty)
-        while point < q:
-            at = ((scene * facets + facet) * q + point) * width + k % width
-            part += tl.load(N + 4 * point + corner) * tl.load(FORCE + at, mask=there, other=0.0)
-            point += 1
-        total += part
+        for point in tl.static_range(Q):
+            at = ((scene * facets + facet) * Q + point) * width + k % width
+            total += tl.load(N + 4 * point + corner) * tl.load(FORCE + at, mask=facet >= 0, other=0.0)
     tl.store(OUT + width * nodes * scene + k, total, mask=inside)
 
 
@@ -133,12 +129,14 @@ def at_nodes(ends: Tensor, N: Tensor, force: Tensor) -> Tensor:
     (s, nodes, _), (_, f, q, c) = ends.shape, force.shape
     out = force.new_empty(s, nodes, c)
     grid = s, triton.cdiv(c * nodes, LANES)
-    _at_nodes[grid](ends, N, force.contiguous(), out, nodes, f, q, c, SIZE=LANES)
+    _at_nodes[grid](ends, N, force.contiguous(), out, nodes, f, c, Q=q, SIZE=LANES)
     return out
 
 
 @triton.jit(do_not_specialize=COUNTS)
-def _acted(SLOTS, ENDS, N, ACTIVE, KEPT, WANTED, STALE, COUNT, nodes, facets, q, row, SIZE: tl.constexpr):
+def _acted(
+    SLOTS, ENDS, N, ACTIVE, KEPT, WANTED, STALE, COUNT, nodes, facets, row, Q: tl.constexpr, SIZE: tl.constexpr
+):  # fmt: skip
     scene, lane = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE)
     slot, none = tl.load(SLOTS + scene), tl.load(KEPT + scene) == 0
     count, more, i = tl.zeros((SIZE,), tl.int32), tl.zeros((SIZE,), tl.int32), 0
@@ -147,11 +145,9 @@ def _acted(SLOTS, ENDS, N, ACTIVE, KEPT, WANTED, STALE, COUNT, nodes, facets, q,
         inside, new = k < 3 * nodes, k < 0
         for corner in tl.static_range(4):
             facet = tl.load(ENDS + 4 * (nodes * scene + k // 3) + corner, mask=inside, other=-1)
-            point = 0
-            while point < q:
-                at = (scene * facets + facet) * q + point
+            for point in tl.static_range(Q):
+                at = (scene * facets + facet) * Q + point
                 new = new | (tl.load(N + at, mask=facet >= 0, other=0.0) > 0)
-                point += 1
         active = tl.load(ACTIVE + slot * row + k, mask=inside, other=0) != 0
         more = tl.where(new & ~active, 1, more)
         wanted = new | (active & (tl.load(KEPT + scene + 0 * lane) > 0))
@@ -168,44 +164,59 @@ def acted(
     """condensation.acted, for forces N (s, f, q) at the points of facets; active and wanted (capacity, k): all rows."""
     (s, nodes, _), (_, f, q) = ends.shape, N.shape
     stale, count = wanted.new_empty(s), ends.new_empty(s)
-    sizes = nodes, f, q, active.shape[1]
-    _acted[(s,)](slots, ends, N, active, kept, wanted, stale, count, *sizes, SIZE=2 * LANES, num_warps=8)
+    sizes = nodes, f, active.shape[1]
+    _acted[(s,)](slots, ends, N, active, kept, wanted, stale, count, *sizes, Q=q, SIZE=4 * LANES, num_warps=16)
     return stale, count
+
+
+@triton.jit
+def _stiffness(c, own, beside, scene, PLACE, CONN, ENDS, N, D, OUT, unknowns, facets, Q: tl.constexpr):
+    """Of rows of unknowns `own` the columns and what is added there by facets of which their nodes are corner c; and
+    whether anything is."""
+    node, own_direction, corner, direction = own // 3, own % 3, beside // 4, beside % 4
+    facet = tl.load(ENDS + 4 * (unknowns // 3 * scene + node) + c, mask=own >= 0, other=-1)
+    there = (facet >= 0) & (direction < 3)
+    other = tl.load(CONN + 4 * (scene * facets + facet) + corner, mask=there, other=0)
+    column = tl.load(PLACE + scene * unknowns + 3 * other + direction, mask=there, other=-1)
+    acts = there & (column >= 0)
+    part = (0 * column).to(OUT.dtype.element_ty)
+    for point in tl.static_range(Q):
+        share = tl.load(N + 4 * point + c).to(part.dtype) * tl.load(N + 4 * point + corner).to(part.dtype)
+        at = D + 9 * ((scene * facets + facet) * Q + point) + 3 * own_direction + direction
+        part += share * tl.load(at, mask=acts, other=0.0).to(part.dtype)
+    return column, part, acts
+
+
+@triton.jit
+def _add(out, column, part, acts):
+    tl.debug_barrier()  # rows are written and read by all threads of a program
+    tl.store(out + column, tl.load(out + column, mask=acts, other=0.0) + part, mask=acts)
 
 
 @triton.jit(do_not_specialize=COUNTS)
 def _with_points(
-    SLOTS, KEPT, PLACE, CONN, ENDS, N, D, K, OUT, kept, unknowns, facets, q, slot, row,
-    HIGH: tl.constexpr, SIZE: tl.constexpr,
+    SLOTS, KEPT, PLACE, CONN, ENDS, N, D, K, OUT, kept, unknowns, facets, slot, row,
+    Q: tl.constexpr, HIGH: tl.constexpr, SIZE: tl.constexpr,
 ):  # fmt: skip
     scene = tl.program_id(0).to(tl.int64)
     r = (tl.program_id(1) * HIGH + tl.arange(0, HIGH))[:, None]
     inside, out = r < kept, OUT + (scene * kept + r) * kept
     source = K + tl.load(SLOTS + scene) * slot + r.to(tl.int64) * row
+    own = tl.load(KEPT + scene * kept + r, mask=inside, other=-1)
+    beside = tl.arange(0, 16)[None, :]  # 4 corner + direction of a column
+    i0, a0, there0 = _stiffness(0, own, beside, scene, PLACE, CONN, ENDS, N, D, OUT, unknowns, facets, Q)
+    i1, a1, there1 = _stiffness(1, own, beside, scene, PLACE, CONN, ENDS, N, D, OUT, unknowns, facets, Q)
+    i2, a2, there2 = _stiffness(2, own, beside, scene, PLACE, CONN, ENDS, N, D, OUT, unknowns, facets, Q)
+    i3, a3, there3 = _stiffness(3, own, beside, scene, PLACE, CONN, ENDS, N, D, OUT, unknowns, facets, Q)
     k = 0
     while k < kept:
         j = (k + tl.arange(0, SIZE))[None, :]
         tl.store(out + j, tl.load(source + j, mask=inside & (j < kept), other=0.0), mask=inside & (j < kept))
         k += SIZE
-    own = tl.load(KEPT + scene * kept + r, mask=inside, other=-1)
-    beside = tl.arange(0, 16)[None, :]  # corner 4 and direction of a column
-    node, own_direction, corner, direction = own // 3, own % 3, beside // 4, beside % 4
-    for c in tl.static_range(4):  # each of which may be the diagonal's
-        tl.debug_barrier()  # rows are written and read by all threads of a program
-        facet = tl.load(ENDS + 4 * (unknowns // 3 * scene + node) + c, mask=own >= 0, other=-1)
-        there, point = (facet >= 0) & (direction < 3), 0
-        other = tl.load(CONN + 4 * (scene * facets + facet) + corner, mask=there, other=0)
-        column = tl.load(PLACE + scene * unknowns + 3 * other + direction, mask=there, other=-1)
-        acts = there & (column >= 0)
-        part = tl.zeros((HIGH, 16), OUT.dtype.element_ty)
-        while point < q:
-            share = tl.load(N + 4 * point + c).to(part.dtype)
-            share = share * tl.load(N + 4 * point + corner).to(part.dtype)
-            at = D + 9 * ((scene * facets + facet) * q + point) + 3 * own_direction + direction
-            part += share * tl.load(at, mask=acts, other=0.0).to(part.dtype)
-            point += 1
-        entry = out + column
-        tl.store(entry, tl.load(entry, mask=acts, other=0.0) + part, mask=acts)
+    _add(out, i0, a0, there0)
+    _add(out, i1, a1, there1)
+    _add(out, i2, a2, there2)
+    _add(out, i3, a3, there3)
 
 
 def with_points(
@@ -216,6 +227,6 @@ def with_points(
     out = K.new_empty(s, a, a)
     parts = slots, kept.contiguous(), place.contiguous(), conn, ends, N, D.contiguous(), K, out
     if a:
-        sizes = a, place.shape[1], f, q, K.stride(0), K.stride(1)
-        _with_points[(s, triton.cdiv(a, ROWS))](*parts, *sizes, HIGH=ROWS, SIZE=LANES)
+        sizes = a, place.shape[1], f, K.stride(0), K.stride(1)
+        _with_points[(s, triton.cdiv(a, ROWS))](*parts, *sizes, Q=q, HIGH=ROWS, SIZE=LANES)
     return out

@@ -21,7 +21,7 @@ from tacgen.tensor_engine.gpu_contact import _point
 if TYPE_CHECKING:
     from tacgen.tensor_engine.contact import Contacts
 
-LANES, WARPS = 256, 8  # of a program
+LANES, WARPS = 512, 16  # of a program, most of whose time is waiting for what it loads
 COUNTS = ("scenes", "size", "unknowns", "kept", "count", "nodes", "apart", "q", "trials", "columns", "most")
 HALVED, RISE, DECREASE, SMALLEST = (tl.constexpr(x) for x in (FULL_STEP, ROUNDING, ARMIJO, SHORTEST))
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (tl.constexpr(k) for k in range(5))  # as in contact_newton

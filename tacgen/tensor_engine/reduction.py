@@ -20,9 +20,9 @@ EXACT = 1e-3  # largest residual of a solution without pivots, over the largest 
 @dataclass(frozen=True)
 class Reduction:
     """For Schur complements (s, k, k): numbers (s, a) of the unknowns that are kept, -1 where padded, and `place`
-    (s, k) of each among them, -1 if eliminated. At their slots (s,): the inverse G (capacity, k, k) of the eliminated part, 0
-    elsewhere, X = G S on the kept columns (capacity, k, a), and K (capacity, a, a), the stiffness on the kept unknowns,
-    the unit matrix where padded."""
+    (s, k) of each among them, -1 if eliminated. At their slots (s,): the inverse G (capacity, k, k) of the eliminated
+    part, 0 elsewhere, X = G S on the kept columns (capacity, k, a), and K (capacity, a, a), the stiffness on the kept
+    unknowns, the unit matrix where padded."""
 
     kept: Tensor
     place: Tensor
