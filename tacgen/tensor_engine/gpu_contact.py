@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
 import triton
 import triton.language as tl
 from torch import Tensor
 
 from tacgen.mechanics.barrier import SOFT
+from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine.gpu_distance import POINTS, signed_distance, store_vector
 
 if TYPE_CHECKING:
@@ -37,17 +39,18 @@ def _point(X, CONN, N, scene, k, nodes, apart, q, inside):
 
 
 @triton.jit
+def _local(x, y, z, r, position):
+    """Points in the frame of an indenter at a pose."""
+    x, y, z = x - tl.load(position), y - tl.load(position + 1), z - tl.load(position + 2)
+    a = x * tl.load(r) + y * tl.load(r + 3) + z * tl.load(r + 6)
+    b = x * tl.load(r + 1) + y * tl.load(r + 4) + z * tl.load(r + 7)
+    return a, b, x * tl.load(r + 2) + y * tl.load(r + 5) + z * tl.load(r + 8)
+
+
+@triton.jit
 def _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES):
     """The gap at points in the sensor's frame, and its derivatives in the indenter's."""
-    ux, uy, uz = (
-        x - tl.load(POSITION + 3 * scene),
-        y - tl.load(POSITION + 3 * scene + 1),
-        z - tl.load(POSITION + 3 * scene + 2),
-    )
-    r = R + 9 * scene
-    lx = ux * tl.load(r) + uy * tl.load(r + 3) + uz * tl.load(r + 6)
-    ly = ux * tl.load(r + 1) + uy * tl.load(r + 4) + uz * tl.load(r + 7)
-    lz = ux * tl.load(r + 2) + uy * tl.load(r + 5) + uz * tl.load(r + 8)
+    lx, ly, lz = _local(x, y, z, R + 9 * scene, POSITION + 3 * scene)
     d, gx, gy, gz, xx, yy, zz, xy, xz, yz = signed_distance(
         lx, ly, lz, tl.load(KIND + scene), TABLE + 8 * scene, VALUES
     )
@@ -203,6 +206,83 @@ def _merits(
     force = tl.load(FORCE + number, mask=inside, other=0.0)
     total = tl.sum(tl.where(inside, energy + mu * force * slip, 0.0), 0)
     tl.store(OUT + (scene * trials + trial) * tl.num_programs(2) + tl.program_id(2), total)
+
+
+@triton.jit
+def _way(
+    BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, scene, k, count, nodes, apart, q, inside
+):  # fmt: skip
+    """Where points were in the indenter's frame, how they move in it, and whether they may come to touch."""
+    x, y, z = _point(BEFORE, CONN, N, scene, k, nodes, apart, q, inside)
+    x, y, z = _local(x, y, z, OLD_R + 9 * scene, OLD_POSITION + 3 * scene)
+    tx, ty, tz = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
+    tx, ty, tz = _local(tx, ty, tz, R + 9 * scene, POSITION + 3 * scene)
+    tx, ty, tz = tx - x, ty - y, tz - z
+    length = tl.sqrt(_dot(tx, ty, tz, tx, ty, tz))
+    near = length > tl.maximum(tl.load(GAPS + scene * count + k, mask=inside, other=0.0), 0.0)
+    near = near & inside & (tl.load(AREAS + scene * count + k, mask=inside, other=0.0) > 0)
+    return x, y, z, tx, ty, tz, near, tl.where(near, length, 0.0)
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _parts_of_way(
+    BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, REACH, OUT, count, nodes, apart, q,
+    SIZE: tl.constexpr,
+):  # fmt: skip
+    scene, longest, i = tl.program_id(0).to(tl.int64), tl.zeros((SIZE,), tl.float64), 0
+    while i < count:
+        k = i + tl.arange(0, SIZE)
+        _, _, _, _, _, _, _, length = _way(
+            BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, scene, k, count, nodes, apart, q,
+            k < count,
+        )  # fmt: skip
+        longest = tl.maximum(longest, length)
+        i += SIZE
+    tl.store(OUT + scene, tl.maximum(tl.ceil(4 * tl.max(longest, 0) / tl.load(REACH + scene)), 2.0))
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _blocked(
+    BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, REACH, PARTS, OFFSET, KIND, TABLE, VALUES, OUT,
+    count, nodes, apart, q, DEEP: tl.constexpr, TURNED: tl.constexpr, SIZE: tl.constexpr,
+):  # fmt: skip
+    scene, k = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    x, y, z, tx, ty, tz, near, length = _way(
+        BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, scene, k, count, nodes, apart, q, k < count,
+    )  # fmt: skip
+    through, entered, ex, ey, ez = 0 * k, 0 * k, 0 * x, 0 * x, 0 * x
+    if tl.max(length, 0) > 0:
+        parts, offset, deepest = tl.load(PARTS + scene), tl.load(OFFSET + scene), -DEEP * tl.load(REACH + scene)
+        kind, done = tl.load(KIND + scene), 0.0
+        while done <= parts:
+            part = done / parts
+            d, nx, ny, nz, _, _, _, _, _, _ = signed_distance(
+                x + part * tx, y + part * ty, z + part * tz, kind, TABLE + 8 * scene, VALUES
+            )
+            inside = (d + offset < 0) & near
+            new = inside & (entered == 0)
+            ex, ey, ez = tl.where(new, nx, ex), tl.where(new, ny, ey), tl.where(new, nz, ez)
+            turned = ((entered == 1) | inside) & (_dot(ex, ey, ez, nx, ny, nz) < -TURNED)
+            through = tl.where(turned | (near & (d < deepest)), 1, through)
+            entered = tl.where(inside, 1, 0)
+            done += 1.0
+    tl.store(OUT + scene * tl.num_programs(1) + tl.program_id(1), tl.max(through, 0) > 0)
+
+
+def blocked(
+    c: Contacts, before: Tensor, x: Tensor, rotation: Tensor, position: Tensor, gap: Tensor, reach: Tensor
+) -> Tensor:
+    """Whether a point passes through the indenter (s,) on the way from nodes `before` (s, n, 3), when its pose was
+    another and the gap (s, f, q), to x; see load_step.blocked."""
+    (s, f, q), n = c.areas.shape, x.shape[1]
+    parts, blocks = reach.new_empty(s), triton.cdiv(f * q, POINTS)
+    out = torch.empty(s, blocks, dtype=torch.bool, device=x.device)
+    way = tuple(part.contiguous() for part in (c.N, c.areas, c.rotation, c.position, rotation, position, gap, reach))
+    way, counts = (before.contiguous(), x.contiguous(), c.conn, *way), (f * q, n, c.conn.stride(0), q)
+    _parts_of_way[(s,)](*way, parts, *counts, SIZE=512, num_warps=16)
+    shape = c.shapes.kinds, c.shapes.table, c.shapes.values
+    _blocked[(s, blocks)](*way, parts, c.offset, *shape, out, *counts, DEEP=DEEPEST, TURNED=TURN, SIZE=POINTS)
+    return out.any(1)
 
 
 def _parts(c: Contacts) -> tuple[Tensor, ...]:

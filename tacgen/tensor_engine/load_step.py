@@ -16,9 +16,10 @@ from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import PARALLEL, TIE
 from tacgen.mechanics.solve_state import RATE_GUESS
 from tacgen.mechanics.tunnelling import DEEPEST, TURN
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.reduction import solved_by_root, with_points
 from tacgen.tensor_engine.replay import rare, recording, room
 
@@ -233,6 +234,11 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     """Whether a straight step from the last positions to x (s, n, 3) carries a point of the face through the indenter;
     see mechanics.tunnelling.blocked."""
     t, contact = b.t, b.face(s, b.t.offset[s])
+    if devices.by_kernels(x):
+        from tacgen.tensor_engine import gpu_contact
+
+        before, *pose, gap, reach = gathered(s, t.h_x, t.h_rotation, t.h_position, t.h_gap, b.reach)
+        return gpu_contact.blocked(contact, before, x, *pose, gap, reach)
     first = _last_local(b, s, contact.points(t.h_x[s]))
     way = contact.local(contact.points(x)) - first
     length = torch.linalg.norm(way, dim=-1)

@@ -1,6 +1,8 @@
 """What a GPU computes in one launch is what NumPy and PyTorch compute; without a GPU by Triton's interpreter."""
 
 import os
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
 pytest.importorskip("triton")
 
-from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements, gpu_tangents, products
+from tacgen.tensor_engine import device as devices
+from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements, gpu_tangents, load_step, products
 from tacgen.tensor_engine.elements import Hexes
 from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
@@ -171,3 +174,21 @@ def test_the_barrier_of_cells() -> None:
     assert close(at[[0, 2, 3]], forces[[0, 2, 3]])
     assert close(at, case.topology.at_nodes(parts))
     assert torch.equal(gpu_elements.folds(barrier, x, times.double(), False)[0], energy)
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+@pytest.mark.parametrize(("drop", "reach", "many"), [(0.05, 0.5, 0), (0.6, 9.0, 2), (0.6, 0.7, 8)])
+def test_points_that_pass_through(drop: float, reach: float, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Too deep, and out on the other side; in few parts and in many."""
+    case, s = Case(), torch.arange(len(SHAPES))
+    contact, far = case.many, torch.tensor([0.1, 0.05, 0.4])
+    old = replace(contact, position=contact.position + far, rotation=contact.rotation[:, [1, 0, 2]])
+    t = SimpleNamespace(offset=contact.offset, h_x=case.X, h_rotation=old.rotation, h_position=old.position)
+    t.h_gap = old.gap_at_nodes(case.X)
+    b = SimpleNamespace(t=t, reach=torch.full((len(s),), reach).double(), face=lambda s, offset: contact)
+    x = case.X + torch.tensor([0.1, 0.0, drop])
+    wanted = load_step.blocked(b, s, x)
+    monkeypatch.setattr(devices, "by_kernels", lambda x: True)
+    assert close(contact.gap_at_nodes(x), contact.gap(contact.points(x)))
+    assert load_step.blocked(b, s, x).tolist() == wanted.tolist()
+    assert wanted.sum() == many

@@ -35,7 +35,8 @@ alone = pytest.mark.skipif(DEVICE == "cuda", reason="small batches are on the CP
 # operations that launch nothing
 VIEWS = {"view", "expand", "slice", "select", "unsqueeze", "squeeze", "transpose", "t", "permute", "_unsafe_view"}
 VIEWS |= {"unbind", "alias", "detach", "empty", "empty_like", "new_empty", "split", "diagonal", "expand_as"}
-LAUNCHES = 47  # of a step of the contact, with plain operations 268; where scenes are few that is its time
+# of work on scenes, with kernels where there were hundreds: where scenes are few that is its time
+LAUNCHES = {"acted": 7, "contact": 47, "search": 56, "measure": 60, "load": 22}
 
 
 def tensor(values: Any) -> torch.Tensor:
@@ -252,7 +253,7 @@ def test_a_scene_solved_by_kernels_in_few_launches(monkeypatch: pytest.MonkeyPat
 
     def kept(self: Replays, key: tuple, *others: Any) -> Any:
         out = called(self, key, *others)
-        counts[key[0], key[-1]] = launches.count.total()
+        counts[key[0]] = launches.count.total()
         return out
 
     monkeypatch.setattr(replay, "_noting", counted)
@@ -262,4 +263,5 @@ def test_a_scene_solved_by_kernels_in_few_launches(monkeypatch: pytest.MonkeyPat
     (found,) = solve(b, scenes)
     assert found.why is None
     assert np.abs(found.states[0].x - wanted.states[0].x).max() < 1e-9
-    assert 0 < counts["contact", False] <= LAUNCHES
+    for work, most in LAUNCHES.items():
+        assert 0 < counts[work] <= most, (work, counts[work])
