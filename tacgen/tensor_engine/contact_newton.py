@@ -113,7 +113,7 @@ def step(
     trial = Trial(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
     fractions, figures = tried(trial, contact, forces.gap, reach, least)
     fraction = torch.ones_like(reach)
-    if recording() or not bool(((figures[:, FULL] > 0) | (now.steps >= max_steps)).all()):
+    if devices.by_kernels(x) or recording() or not bool(((figures[:, FULL] > 0) | (now.steps >= max_steps)).all()):
         fraction = downhill(fractions, figures, contact.merits(x, p, fractions, forces), least)
     there = x + fraction[:, None, None] * p
     felt = contact.evaluate(there)

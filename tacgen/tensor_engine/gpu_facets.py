@@ -14,42 +14,49 @@ ROWS = 16  # of a matrix, of a program
 COUNTS = ("nodes", "facets", "face", "every", "all", "q", "width", "unknowns", "kept", "slot", "row", "k")
 
 
-@triton.jit(do_not_specialize=("widths", "strides"))
+def _odd(numbers: list[int]) -> tuple[int, ...]:
+    """Numbers for a tuple of a kernel's: Triton has code of its own for 1 and for multiples of 16 there."""
+    return tuple(16 * k + 8 for k in numbers)
+
+
+@triton.jit
 def _rows(SLOTS, sources, results, widths, strides, SIZE: tl.constexpr):
     scene = tl.program_id(0).to(tl.int64)
     slot, k = tl.load(SLOTS + scene), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     for i in tl.static_range(len(sources)):
-        inside = k < widths[i]
-        value = tl.load(sources[i] + slot * strides[i] + k, mask=inside)
-        tl.store(results[i] + scene * widths[i] + k, value, mask=inside)
+        width = widths[i] // 16
+        inside = k < width
+        value = tl.load(sources[i] + slot * (strides[i] // 16) + k, mask=inside)
+        tl.store(results[i] + scene * width + k, value, mask=inside)
 
 
 def rows(slots: Tensor, parts: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     """Rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous."""
     out = tuple(part.new_empty(len(slots), *part.shape[1:]) for part in parts)
-    widths = tuple(part[0].numel() for part in parts)
+    widths = [part[0].numel() for part in parts]
     if max(widths):
         grid = len(slots), triton.cdiv(max(widths), LANES)
-        _rows[grid](slots, parts, out, widths, tuple(part.stride(0) for part in parts), SIZE=LANES)
+        _rows[grid](slots, parts, out, _odd(widths), _odd([part.stride(0) for part in parts]), SIZE=LANES)
     return out
 
 
-@triton.jit(do_not_specialize=("widths", "strides"))
+@triton.jit
 def _put(SLOTS, results, values, widths, strides, SIZE: tl.constexpr):
     scene = tl.program_id(0).to(tl.int64)
     slot, k = tl.load(SLOTS + scene), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     for i in tl.static_range(len(values)):
-        inside = k < widths[i]
-        value = tl.load(values[i] + scene * widths[i] + k, mask=inside)
-        tl.store(results[i] + slot * strides[i] + k, value, mask=inside)
+        width = widths[i] // 16
+        inside = k < width
+        value = tl.load(values[i] + scene * width + k, mask=inside)
+        tl.store(results[i] + slot * (strides[i] // 16) + k, value, mask=inside)
 
 
 def put(slots: Tensor, results: tuple[Tensor, ...], values: tuple[Tensor, ...]) -> None:
     """Write values (s, ...) to rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous."""
     values = tuple(value.contiguous() for value in values)
-    widths = tuple(value[0].numel() for value in values)
+    widths = [value[0].numel() for value in values]
     grid = len(slots), triton.cdiv(max(widths), LANES)
-    _put[grid](slots, results, values, widths, tuple(part.stride(0) for part in results), SIZE=LANES)
+    _put[grid](slots, results, values, _odd(widths), _odd([part.stride(0) for part in results]), SIZE=LANES)
 
 
 @triton.jit(do_not_specialize=COUNTS)
