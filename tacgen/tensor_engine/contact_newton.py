@@ -175,7 +175,6 @@ def downhill(fractions: Tensor, figures: Tensor, merits: Tensor, least: float) -
     here = merit[:, :1]
     most = here + ROUNDING * here.abs() + ARMIJO * fractions * slope
     lower = (merit <= most) & (slope <= 0) & (fractions >= least)
-    lower[:, 0] = False
     first = lower.to(torch.int8).argmax(1, keepdim=True)
     return torch.where(full > 0, 1.0, torch.where(lower.any(1, keepdim=True), fractions.gather(1, first), 0.0))[:, 0]
 

@@ -192,7 +192,7 @@ def _downhill(FRACTIONS, FIGURES, MERITS, OUT, trials, LEAST: tl.constexpr, TRIA
     merit += tl.load(MERITS + scene * trials + j, mask=inside, other=0.0)
     here = tl.sum(tl.where(j == 0, merit, 0.0), 0)
     most = here + RISE * tl.abs(here) + DECREASE * fraction * tl.minimum(slope, 0.0)
-    lower = inside & (j > 0) & (merit <= most) & (fraction >= LEAST)
+    lower = inside & (merit <= most) & (fraction >= LEAST)
     first = tl.min(tl.where(lower, j, TRIALS), 0)
     found = tl.where(slope <= 0, tl.sum(tl.where(j == first, fraction, 0.0), 0), 0.0)
     tl.store(OUT + scene, tl.where(tl.load(own + 5) > 0, 1.0, found))
