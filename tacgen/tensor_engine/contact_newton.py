@@ -110,7 +110,7 @@ def step(
     bent, whole = bulk.times(p.flatten(1)).view_as(x), None
     if not symmetric:
         whole = gradient + bent - at_nodes(contact, contact.evaluate(x + p).force, x.shape[1])
-    trial = Trial(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
+    trial = TriedStep(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
     fractions, figures = tried(trial, contact, forces.gap, reach, least)
     fraction = torch.ones_like(reach)
     if devices.by_kernels(x) or recording() or not bool(((figures[:, FULL] > 0) | (now.steps >= max_steps)).all()):
@@ -120,7 +120,7 @@ def step(
     return ended(now, contact, drift, bulk.start, there, fraction, figures, felt, xtol, radius, max_steps, symmetric)
 
 
-class Trial(NamedTuple):
+class TriedStep(NamedTuple):
     """A step p (s, m, 3) from x, the bulk's start and load, its gradient and the whole one g at x, and by how much the
     bulk's changes along p (s, m, 3) or (s, 3m); the whole one at x + p, None if it does not matter; and which steps
     exist (s,)."""
@@ -136,7 +136,7 @@ class Trial(NamedTuple):
     exists: Tensor
 
 
-def tried(trial: Trial, contact: Contacts, gap: Tensor, reach: Tensor, least: float) -> tuple[Tensor, Tensor]:
+def tried(trial: TriedStep, contact: Contacts, gap: Tensor, reach: Tensor, least: float) -> tuple[Tensor, Tensor]:
     """Fractions (s, t) of steps: 0, the first without tunnelling, a half of it and so on, as many as are longer than
     `least` where the first is 1: a line search tries all at once, since a GPU hardly takes longer for many.
 

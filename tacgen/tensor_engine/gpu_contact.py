@@ -212,7 +212,7 @@ def _merits(
 def _way(
     BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, scene, k, count, nodes, apart, q, inside
 ):  # fmt: skip
-    """Where points were in the indenter's frame, how they move in it, and whether they may come to touch."""
+    """Where points were in an indenter's frame, how they move in it, and whether they may come to touch."""
     x, y, z = _point(BEFORE, CONN, N, scene, k, nodes, apart, q, inside)
     x, y, z = _local(x, y, z, OLD_R + 9 * scene, OLD_POSITION + 3 * scene)
     tx, ty, tz = _point(X, CONN, N, scene, k, nodes, apart, q, inside)

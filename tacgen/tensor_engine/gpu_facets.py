@@ -178,7 +178,7 @@ def acted(
 
 @triton.jit
 def _stiffness(c, own, beside, scene, PLACE, CONN, ENDS, N, D, OUT, unknowns, facets, Q: tl.constexpr):
-    """Of rows of unknowns `own` the columns and what is added there by facets of which their nodes are corner c; and
+    """For rows of unknowns `own` the columns and what is added there by facets of which their nodes are corner c; and
     whether anything is."""
     node, own_direction, corner, direction = own // 3, own % 3, beside // 4, beside % 4
     facet = tl.load(ENDS + 4 * (unknowns // 3 * scene + node) + c, mask=own >= 0, other=-1)

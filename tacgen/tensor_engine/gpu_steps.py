@@ -1,4 +1,4 @@
-"""What a step of the contact decides, scene by scene, by Triton; imported only where there is a GPU.
+"""Decisions of a step of the contact, scene by scene, by Triton; imported only where there is a GPU.
 
 In plain operations these are the functions of the same names in contact_newton, and parts of reduction.Reduction.solve
 and solved_by_inverse. But for `shrunk` a program does one scene: dozens of operations on one number for each scene take

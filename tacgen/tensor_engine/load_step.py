@@ -21,9 +21,7 @@ from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.reduction import solved_by_root, with_points
-from tacgen.tensor_engine.replay import rare, recording, room
-
-PARTS = 4, 32  # of a way along which a recording looks for a tunnel, first and where ways are longer
+from tacgen.tensor_engine.replay import recording
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
@@ -248,12 +246,7 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     parts = torch.ceil(4 * longest / reach).clamp(min=2)
     entered, entry = torch.zeros_like(near), torch.zeros_like(first)
     out = torch.zeros(len(s), dtype=torch.bool, device=s.device)
-    if recording():
-        most = room(*PARTS)
-        rare(parts > most)
-    else:
-        most = int(parts.max()) if bool(near.any()) else -1
-    for k in range(most + 1):
+    for k in range(int(parts.max()) + 1 if bool(near.any()) else 0):
         at = first + (k / parts)[:, None, None, None] * way
         d, n, _ = contact.shapes.distance(at.flatten(1, 2))
         d, n = d.view(near.shape), n.view(at.shape)

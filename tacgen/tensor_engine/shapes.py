@@ -43,7 +43,7 @@ class Shapes:
 
     @property
     def rows(self) -> Distances:
-        """What has a row for each scene."""
+        """Parts that have a row for each scene."""
         return self.numbers, self.kinds, self.table
 
     def only(self, numbers: Tensor, kinds: Tensor, table: Tensor) -> "Shapes":

@@ -22,7 +22,7 @@ from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.tensor_engine import condensation, load_step, reduction, replay
 from tacgen.tensor_engine import contact_newton as newton
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.contact_newton import Iterates, Trial
+from tacgen.tensor_engine.contact_newton import Iterates, TriedStep
 from tacgen.tensor_engine.replay import Replays
 from tensor_engine.batches import batch, path, small, solve
 from tensor_engine.dense import Dense
@@ -153,7 +153,7 @@ def test_fractions_to_try_and_figures_of_steps(symmetric: bool, monkeypatch: pyt
     p = p * tensor(10.0 ** -np.arange(s))[:, None, None]  # some steps are short enough to be whole
     whole = g * tensor(np.where(np.arange(s) % 2, 0.49, 0.51))[:, None, None]
     exists, reach = tensor(np.arange(s) != 3), tensor(np.linspace(0.1, 0.9, s))
-    trial = Trial(case.X.to(DEVICE), start, tensor(r.normal(size=(s, 3 * m))), gradient, g, p, bent,
+    trial = TriedStep(case.X.to(DEVICE), start, tensor(r.normal(size=(s, 3 * m))), gradient, g, p, bent,
                   None if symmetric else whole, exists)  # fmt: skip
     least = newton.SHORTEST if symmetric else newton.MIN_COUPLED
     found, wanted = both(lambda: newton.tried(trial, contact, gap, reach, least), monkeypatch)
