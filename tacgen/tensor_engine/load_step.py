@@ -235,8 +235,8 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     if devices.by_kernels(x):
         from tacgen.tensor_engine import gpu_contact
 
-        before, *pose, gap, reach = gathered(s, t.h_x, t.h_rotation, t.h_position, t.h_gap, b.reach)
-        return gpu_contact.blocked(contact, before, x, *pose, gap, reach)
+        before, turned, position, gap, reach = gathered(s, t.h_x, t.h_rotation, t.h_position, t.h_gap, b.reach)
+        return gpu_contact.blocked(contact, before, x, turned, position, gap, reach)
     first = _last_local(b, s, contact.points(t.h_x[s]))
     way = contact.local(contact.points(x)) - first
     length = torch.linalg.norm(way, dim=-1)
