@@ -160,7 +160,8 @@ def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tenso
     """The contact's tensors after a step, in the order of contact_newton.Iterates."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
-    after = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
+    small = b.options.step_tol * now.contact.dhat
+    after = contact_newton.step(bulk, now, reach, small, edge, b.options.max_contact, symmetric)
     return after.x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
 
 

@@ -112,9 +112,10 @@ def step(
         whole = gradient + bent - at_nodes(contact, contact.evaluate(x + p).force, x.shape[1])
     trial = TriedStep(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
     fractions, figures = tried(trial, contact, forces.gap, reach, least)
-    fraction = torch.ones_like(reach)
     if devices.by_kernels(x) or recording() or not bool(((figures[:, FULL] > 0) | (now.steps >= max_steps)).all()):
         fraction = downhill(fractions, figures, contact.merits(x, p, fractions, forces), least)
+    else:
+        fraction = torch.ones_like(reach)
     there = x + fraction[:, None, None] * p
     felt = contact.evaluate(there)
     return ended(now, contact, drift, bulk.start, there, fraction, figures, felt, xtol, radius, max_steps, symmetric)
