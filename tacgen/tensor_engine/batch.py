@@ -21,10 +21,11 @@ from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import RATE_GUESS, Leg
 from tacgen.mechanics.state import History, State
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
-from tacgen.tensor_engine.indices import index_of, listed
+from tacgen.tensor_engine.indices import gathered, index_of, listed, put
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws
 from tacgen.tensor_engine.replay import Replays
@@ -164,9 +165,8 @@ class Tensors:
         raise AttributeError(name)
 
     def put(self, slots: Tensor, **values: Tensor) -> None:
-        """Write rows."""
-        for name, value in values.items():
-            getattr(self, name)[slots] = value
+        """Write rows, on a GPU in one launch."""
+        put(slots, tuple(getattr(self, name) for name in values), tuple(values.values()))
 
 
 @dataclass
@@ -350,38 +350,51 @@ class Batch:
 
     def folded(self, s: Tensor, x: Tensor) -> Folding:
         """The barrier against inversion in scenes s at x (s, n, 3)."""
-        return self.folding.rows(s).evaluate(x, self.t.folds[s])
+        return self.folding.rows(s).evaluate(x, self.t.folds)
 
     def energy(self, s: Tensor, x: Tensor) -> Tensor:
         """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""
-        return self.hexes.rows(s).energy(x) + self.folded(s, x).energy
+        return self.hexes.rows(s).energy(x) + self.folding.rows(s).energy(x, self.t.folds)
 
     def gradient(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         """J (s, e, q), and the gradient of the energy (s, n, 3) [N]."""
         J, out = self.hexes.rows(s).gradient(x)
-        self.folded(s, x).add_forces(out)
-        return J, out
+        return J, out + self.folding.rows(s).gradient(x, self.t.folds)
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""
-        t = self.t
         conn = self.topology.facets.expand(len(s), -1, -1)
-        return Contacts(
-            self.shapes.rows(s), conn, self.N, self.areas[s], t.rotation[s], t.position[s], self.dhat[s],
-            t.kappa[s], offset, self.friction[s], self.eps[s], t.anchor[s],
-        )  # fmt: skip
+        return self._contacts(s, offset, conn, *gathered(s, self.areas, self.t.anchor))
 
     def near(self, s: Tensor, offset: Tensor, nodes: int) -> Contacts:
         """Contact of the facets that are condensed, fewer than so many nodes, with the numbers of these nodes."""
-        whole, t = self.face(s, offset), self.t
-        faces = t.faces[s, :nodes]
-        row, pad = torch.arange(len(s), device=s.device)[:, None], faces < 0
-        conn = t.local[s][row[..., None], self.topology.facets[faces]]
-        areas = torch.where(pad[..., None], 0.0, whole.areas[row, faces])
-        return whole.only(torch.where(pad[..., None], 0, conn), areas, whole.anchor[row, faces])
+        t, facets = self.t, self.topology.facets
+        if devices.by_kernels(s):
+            from tacgen.tensor_engine import gpu_facets
+
+            parts = gpu_facets.near(s, nodes, t.faces, t.local, facets, self.areas, t.anchor)
+            return self._contacts(s, offset, *parts)
+        faces, row = t.faces[s, :nodes], s[:, None]
+        pad = (faces < 0)[..., None]
+        conn = torch.where(pad, 0, t.local[row[..., None], facets[faces]])
+        return self._contacts(s, offset, conn, torch.where(pad, 0.0, self.areas[row, faces]), t.anchor[row, faces])
+
+    def _contacts(
+        self, s: Tensor, offset: Tensor, conn: Tensor, areas: Tensor, anchor: Tensor, ends: Tensor | None = None
+    ) -> Contacts:
+        """Contact of facets of scenes s at the pose of the load step."""
+        t, each = self.t, (*self.shapes.rows, self.t.rotation, self.t.position, self.dhat)
+        *shape, rotation, position, dhat, kappa, friction, eps = gathered(s, *each, t.kappa, self.friction, self.eps)
+        shapes = self.shapes.only(*shape)
+        return Contacts(
+            shapes, conn, self.N, areas, rotation, position, dhat, kappa, offset, friction, eps, anchor, ends
+        )
 
     def at_condensed(self, s: Tensor, x: Tensor, nodes: int) -> Tensor:
-        """Rows (s, nodes, 3) of x (s, n, 3) at the condensed nodes; 0 where padded."""
+        """Rows (s, nodes, 3) of x (B, n, 3) at the condensed nodes of scenes s; 0 where padded."""
+        if devices.by_kernels(s):
+            from tacgen.tensor_engine import gpu_facets
+
+            return gpu_facets.at_condensed(s, x, self.t.nodes, nodes)
         at = self.t.nodes[s, :nodes]
-        rows = x[torch.arange(len(s), device=s.device)[:, None], at.clamp(min=0)]
-        return torch.where(at[..., None] >= 0, rows, 0.0)
+        return torch.where(at[..., None] >= 0, x[s[:, None], at.clamp(min=0)], 0.0)

@@ -20,7 +20,7 @@ from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Course, PartOfStep, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 
 ENDS = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
@@ -55,7 +55,7 @@ def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
     """The facets (s, f) on which the indenter acts at x (s, n, 3); if none, those on which it acted last, or the
     nearest."""
     contact = b.face(s, offset)
-    gap = contact.gap(contact.points(x))
+    gap = contact.gap_at_nodes(x)
     now, last = (gap < contact.dhat[:, None, None]).any(-1), (b.t.h_N[s] > 0).any(-1)
     nearest = gap.amin(-1) <= gap.flatten(1).amin(1, keepdim=True)
     out = torch.where(last.any(1, keepdim=True), last, nearest)
@@ -82,9 +82,9 @@ def load(b: Batch, s: Tensor) -> list[Outcome]:
 
 def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[()]:
     t = b.t
-    x = t.x[s]
-    g = b.hexes.rows(s).mixed_forces(x, t.J[s], t.taken[s])
-    b.folded(s, x).add_forces(g)
+    (x,) = gathered(s, t.x)
+    g = b.hexes.rows(s).mixed_forces(x, t.J, t.taken)
+    g = g + b.folding.rows(s).gradient(x, t.folds)
     y, load = b.factors.forward(s, g, sizes.nodes)
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))
@@ -96,7 +96,7 @@ def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
     """The contact before its first step."""
     t = b.t
     x = torch.zeros_like(t.c_x[s])
-    x[:, : sizes.nodes] = b.at_condensed(s, t.x[s], sizes.nodes)
+    x[:, : sizes.nodes] = b.at_condensed(s, t.x, sizes.nodes)
     zero = torch.zeros_like(t.c_drift[s])
     t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_gap=zero - 1, c_steps=zero.long())
 
@@ -135,34 +135,34 @@ def _stepped(b: Batch, s: Tensor, symmetric: bool) -> list[int]:
     sizes, damped = b.sizes(s), damping(b, s)
     key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), symmetric), partial(_contact, b, sizes, symmetric)
     x, offset, steps, length, drift, gap, status = b.replays(key, work, s, *damped)
+    b.t.c_x[s, : sizes.nodes] = x
     b.t.put(
-        s, c_x=x, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
+        s, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
     )  # fmt: skip
     out: list[int] = status.tolist()
     return out
 
 
 def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
-    t, near = b.t, b.near(s, b.t.c_offset[s], sizes.nodes)
-    x = t.c_x[s, : sizes.nodes]
-    return Iterates(x, near, t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_gap[s], t.c_status[s])
+    t = b.t
+    each = t.c_x[:, : sizes.nodes], t.c_offset, t.c_steps, t.c_length, t.c_drift, t.c_gap, t.c_status
+    x, offset, *rest = gathered(s, *each)
+    return Iterates(x, b.near(s, offset, sizes.nodes), *rest)
 
 
 def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
-    """As condensation.acted, for the facets that the indenter touches."""
+    """As condensation.acted, for the forces at the iterates."""
     now = _iterates(b, sizes, s)
-    facets = (shrunk(now)[0].evaluate(now.x).N > 0).any(-1)
-    return acted(b, sizes, s, now.contact.conn, facets, valid)
+    return acted(b, sizes, s, now.contact, shrunk(now)[0].evaluate(now.x).N, valid)
 
 
 def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
     """The contact's tensors after a step, in the order of contact_newton.Iterates."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
-    now = _iterates(b, sizes, s)
-    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact, symmetric)
-    x = b.t.c_x[s]
-    x[:, : sizes.nodes] = after.x
-    return x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
+    now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
+    small = b.options.step_tol * now.contact.dhat
+    after = contact_newton.step(bulk, now, reach, small, edge, b.options.max_contact, symmetric)
+    return after.x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
 
 
 def damp(b: Batch, s: Tensor) -> list[Outcome]:
@@ -207,23 +207,22 @@ def search(b: Batch, s: Tensor) -> list[Outcome]:
 def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
     """Nodes (s, n, 3) and energies after a part (s,) of the step, condensed positions (s, most, 3) after it, if they
     are lower, else as before, and whether they are (s,)."""
-    t, bulk, near = b.t, condensed(b, sizes, s, *damping), b.near(s, b.t.c_offset[s], sizes.nodes)
-    x, c_x = t.x[s], t.c_x[s]
-    inner = c_x[:, : sizes.nodes]
-    u = (inner - bulk.start).flatten(1)
-    p = b.factors.expand(s, u, t.y[s]).to(x.dtype)
-    forces = near.evaluate(inner)
-    before = near.merit(bulk.start, forces)
-    whole = near.merit_at(forces, forces) - before
+    t, bulk = b.t, condensed(b, sizes, s, *damping)
+    x, c_x, offset, y, g, energy, least = gathered(s, t.x, t.c_x, t.c_offset, t.y, t.g, t.energy, t.h_least)
+    near, inner = b.near(s, offset, sizes.nodes), c_x[:, : sizes.nodes]
+    step = inner - bulk.start
+    u = step.flatten(1)
+    p = b.factors.expand(s, u, y).to(x.dtype)
+    fractions = torch.stack([torch.zeros_like(part), part, torch.ones_like(part)], 1)
+    before, left_energy, whole = near.merits(bulk.start, step, fractions, near.evaluate(inner)).unbind(1)
     # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
     condensed_gradient = bulk.times(u) + bulk.load
-    model = ((t.g[s] * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + whole
-    energy = t.energy[s]
-    rounding = step_end(b, s) * t.h_least[s] + ROUNDING * energy.abs()
+    model = ((g * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + whole - before
+    rounding = step_end(b, s) * least + ROUNDING * energy.abs()
     fraction = part[:, None, None]
     there = x + fraction * p
-    value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * (inner - bulk.start), inner)
-    total = value - energy + torch.where(part < 1, near.merit(left, forces) - before, whole)
+    value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * step, inner)
+    total = value - energy + left_energy - before
     share = total / torch.minimum(part * model, -rounding)
     lower = torch.where(total.abs() <= rounding, 1.0, share) >= MIN_GAIN
     left = torch.where(lower[:, None, None], left, inner)
@@ -248,18 +247,20 @@ def measure(b: Batch, s: Tensor) -> list[Outcome]:
 def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Tensor]:
     """J at the end of the step as the next one predicts it, and figures (s, 5) for `_measured`."""
     t, options = b.t, b.options
-    x, there = t.x[s], t.stepped[s]
+    x, there, offset, inner, status, steps, least = gathered(
+        s, t.x, t.stepped, t.c_offset, t.c_x[:, : sizes.nodes], t.c_status, t.c_steps, t.h_least
+    )
     moved = (there - x).abs().flatten(1).amax(1)
     J, gradient = b.gradient(s, there)
     if options.mixed_pressure:
-        J = b.hexes.rows(s).predicted(x, there, t.taken[s])
-    near = b.near(s, t.c_offset[s], sizes.nodes)
-    forces = near.evaluate(t.c_x[s, : sizes.nodes])
+        J = b.hexes.rows(s).predicted(x, there, t.taken)
+    near = b.near(s, offset, sizes.nodes)
+    forces = near.evaluate(inner)
     unbalanced = _unbalanced(b, t.nodes[s, : sizes.nodes], s, gradient, at_nodes(near, forces.force, sizes.nodes))
-    residual = torch.linalg.norm(unbalanced.flatten(1), dim=1) / torch.maximum(forces.total, t.h_least[s])
-    covered = covers(b, s, touched(b, s, there, t.c_offset[s]))
+    residual = torch.linalg.norm(unbalanced.flatten(1), dim=1) / torch.maximum(forces.total, least)
+    covered = covers(b, s, touched(b, s, there, offset))
     still = moved <= step_end(b, s)
-    columns = (residual, still, covered, t.c_status[s] == CONVERGED, t.c_steps[s])
+    columns = (residual, still, covered, status == CONVERGED, steps)
     return J, torch.stack([part.to(residual.dtype) for part in columns], 1)
 
 

@@ -8,8 +8,9 @@ from torch import Tensor
 from tacgen.mechanics.bulk_newton import DAMPING_MAX
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.tensor_engine.batch import Batch, Sizes
+from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import Quadratics
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.reduction import Reduction, reduced
 
@@ -47,7 +48,7 @@ def condensed(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Quadratics
             out = torch.where(factor[:, None] > 0, out + factor[:, None] * slot_times(at_rest, s, u), out)
         return out
 
-    return Quadratics(b.at_condensed(s, b.t.x[s], sizes.nodes), times, b.read("load", s, k))
+    return Quadratics(b.at_condensed(s, b.t.x, sizes.nodes), times, b.read("load", s, k))
 
 
 def _damped(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Tensor:
@@ -82,31 +83,32 @@ def reduce(b: Batch, s: Tensor) -> None:
 
 def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor]:
     """Keeps what `reduction.reduced` gives, and where what is eliminated is positive definite (s,)."""
-    k, wanted = sizes.unknowns, b.read("wanted", s, sizes.unknowns)
+    wanted = b.read("wanted", s, sizes.unknowns)
     part, definite = reduced(_damped(b, sizes, s, *damping), wanted, sizes.kept)
-    none = {"kept": torch.where(part.kept == k, -1, part.kept)}
-    none["place"] = torch.where(part.place == part.kept.shape[1], -1, part.place)
-    b.keep(s, G=part.G, X=part.X, K=part.K, active=wanted, **none)
+    b.keep(s, G=part.G, X=part.X, K=part.K, kept=part.kept, place=part.place, active=wanted)
     return (definite,)
 
 
 def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:
     """The reductions that are kept, in the sizes of a call."""
     k, a = sizes.unknowns, sizes.kept
-    kept, place = b.read("kept", s, a), b.read("place", s, k)
-    parts = b.wide("G", k, k), b.wide("X", k, a), b.read("K", s, a, a)
-    return Reduction(torch.where(kept < 0, k, kept), torch.where(place < 0, a, place), *parts, s)
+    kept, place = gathered(s, b.wide("kept", a), b.wide("place", k))
+    return Reduction(kept, place, b.wide("G", k, k), b.wide("X", k, a), b.wide("K", a, a), s)
 
 
-def acted(b: Batch, sizes: Sizes, s: Tensor, conn: Tensor, facets: Tensor, kept: Tensor) -> tuple[Tensor, ...]:
+def acted(b: Batch, sizes: Sizes, s: Tensor, contact: Contacts, N: Tensor, kept: Tensor) -> tuple[Tensor, ...]:
     """Marks as `wanted` the unknowns on which contact has acted since the last tangent or change of damping, if those
-    of the reduction are `kept` (s,), and those of marked facets (s, f) of conn (s, f, 4).
+    of the reduction are `kept` (s,), and those of facets at a point of which it acts with N > 0 (s, f, q).
 
     Returns where they are more than those to which the bulk is reduced (s,) bool, and how many they are (s,).
     """
-    k = sizes.unknowns
+    if contact.ends is not None:
+        from tacgen.tensor_engine import gpu_facets
+
+        return gpu_facets.acted(s, contact.ends, N, b.t.active, kept, b.t.wanted)
+    k, facets = sizes.unknowns, (N > 0).any(-1)
     own = torch.zeros(len(s), k // 3 + 1, dtype=torch.bool, device=s.device)
-    own = own.scatter(1, torch.where(facets[..., None], conn, k // 3).flatten(1), True)
+    own = own.scatter(1, torch.where(facets[..., None], contact.conn, k // 3).flatten(1), True)
     new, active = own[:, :-1].repeat_interleave(3, 1), b.read("active", s, k)
     wanted = new | (active & (kept > 0)[:, None])
     b.keep(s, wanted=wanted)

@@ -13,6 +13,7 @@ from torch import Tensor
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import SOFT, Contact, Faces
 from tacgen.mechanics.coupled import CoupledContact
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.shapes import Shapes
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
@@ -73,7 +74,8 @@ class Contacts:
 
     conn (s, f, 4) node numbers; N (q, 4); areas (s, f, q), 0 where a facet does not exist; rotation
     (s, 3, 3) and position (s, 3) of the indenter; (s,): dhat and offset [mm], kappa [MPa], friction, slip length eps
-    [mm]; anchor (s, f, q, 3) in the sensor's frame.
+    [mm]; anchor (s, f, q, 3) in the sensor's frame; on a GPU, of each node `ends` (s, n, 4): the facet of which it is a
+    certain corner, -1 if none, if the facets are not those of the whole face.
     """
 
     shapes: Shapes
@@ -88,6 +90,7 @@ class Contacts:
     friction: Tensor
     eps: Tensor
     anchor: Tensor
+    ends: Tensor | None = None
 
     def shrunk(self, offset: Tensor) -> "Contacts":
         """With indenters shrunk by other offsets (s,) [mm]."""
@@ -118,6 +121,14 @@ class Contacts:
         shape = (len(at), *(1,) * (at.dim() - 4), *self.areas.shape[1:])
         return torch.where(self.areas.view(shape) > 0, d + self.offset.view(-1, *(1,) * (d.dim() - 1)), NOWHERE)
 
+    def gap_at_nodes(self, x: Tensor) -> Tensor:
+        """Gap (s, f, q) at nodes x (s, n, 3)."""
+        if devices.by_kernels(x):
+            from tacgen.tensor_engine import gpu_contact
+
+            return gpu_contact.gaps(self, x)
+        return self.gap(self.points(x))
+
     def _numbers(self) -> tuple[Tensor, ...]:
         """Weights kappa A (s, f, q), and dhat, eps and friction (s, 1, 1)."""
         dhat, eps, friction = (part[:, None, None] for part in (self.dhat, self.eps, self.friction))
@@ -125,7 +136,7 @@ class Contacts:
 
     def evaluate(self, x: Tensor) -> Forces:
         """Forces and tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_contact
 
             return Forces(*gpu_contact.forces(self, x))
@@ -146,33 +157,19 @@ class Contacts:
     def merits(self, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
         """Energy (s, t) [N mm] of the barrier and of friction after fractions (s, t) of steps p (s, n, 3) from x, with
         the normal forces and normals of `frozen`."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_contact
 
             return gpu_contact.merits(self, x, p, fractions, frozen)
         at = self.points(x)[:, None] + fractions[:, :, None, None, None] * self.points(p)[:, None]
-        numbers = (part[:, None] for part in (frozen.normal, frozen.N, *self._numbers()))
-        return _merit(self.gap(at), at - self.anchor[:, None], *numbers)
-
-    def merit(self, x: Tensor, frozen: Forces) -> Tensor:
-        """`merits` (s,) at x."""
-        return self.merits(x, x, x.new_zeros(len(x), 1), frozen).squeeze(1)
-
-    def merit_at(self, here: Forces, frozen: Forces) -> Tensor:
-        """`merit` (s,) [N mm] at positions whose forces are known."""
-        return _merit(here.gap, here.at - self.anchor, frozen.normal, frozen.N, *self._numbers())
+        normal, N, *numbers = (part[:, None] for part in (frozen.normal, frozen.N, *self._numbers()))
+        weight, dhat, eps, friction = numbers
+        t = slip(at, self.anchor[:, None], normal)
+        rubbed = friction * N * smooth(torch.linalg.vector_norm(t, dim=-1), eps)
+        return (weight * barrier(self.gap(at), dhat) + rubbed).sum((-2, -1))
 
     def max_step(self, gap: Tensor, p: Tensor, reach: Tensor) -> Tensor:
         """Largest parts (s,) of steps p (s, n, 3) without tunnelling; see mechanics.barrier.Contact.max_step."""
         way = torch.linalg.norm(self.points(p), dim=-1)
         allowed = gap.clamp(min=0.0) + reach[:, None, None] / 2
         return (allowed / way.clamp(min=1e-300)).flatten(1).amin(1).clamp(max=1.0)
-
-
-def _merit(
-    d: Tensor, u: Tensor, normal: Tensor, N: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
-) -> Tensor:
-    """Energy of the barrier and of friction with given normals and normal forces, summed over points (..., f, q)."""
-    t = u - (u * normal).sum(-1, keepdim=True) * normal
-    friction = mu * N * smooth(torch.linalg.vector_norm(t, dim=-1), eps)
-    return (weight * barrier(d, dhat) + friction).sum((-2, -1))

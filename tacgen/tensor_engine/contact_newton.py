@@ -6,6 +6,7 @@ else along it, or along the symmetric one, by Armijo's rule.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,11 +14,15 @@ from torch import Tensor
 
 from tacgen.mechanics.contact_newton import FULL_STEP, MIN_COUPLED, ROUNDING, SHORTEST
 from tacgen.mechanics.line_search import ARMIJO
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts, Forces
+from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(5)  # see mechanics.contact_newton.ContactStatus
+HALVES = np.concatenate([[0.0], 0.5 ** np.arange(int(-np.log2(SHORTEST)) + 1)])  # of the first fraction of a step
+LONGEST, FULL = 4, 5  # columns of figures, see `tried`
 
 
 @dataclass(frozen=True)
@@ -36,22 +41,22 @@ class Quadratics:
         """Gradient (s, m, 3) at positions x (s, m, 3)."""
         return (self.times((x - self.start).flatten(1)) + self.load).view_as(x)
 
-    def energy(self, x: Tensor, gradient: Tensor) -> Tensor:
-        """Energy (s,) at positions x (s, m, 3) with a gradient."""
-        return ((x - self.start).flatten(1) * (gradient.flatten(1) + self.load)).sum(1) / 2
-
     def solve(self, contact: Contacts, D: Tensor, g: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """The steps (s, m, 3) that balance g with tangents D (s, f, q, 3, 3) of the contact, and which exist (s,)."""
         assert self.reduction is not None
-        K = self.reduction.K
-        K = with_points(K, self.reduction.place, contact.conn, contact.N.to(K.dtype), D.to(K.dtype))
-        p, good = self.reduction.solve(K, -g.flatten(1), symmetric)
+        part, facets = self.reduction, (contact.conn, contact.ends, contact.N)
+        K = with_points(part.K, part.slots, part.kept, part.place, *facets, D)
+        p, good = part.solve(K, -g.flatten(1), symmetric)
         return p.view_as(g), good
 
 
 def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
     """Nodal forces (s, n, c) of forces (s, f, q, c) at points; corner by corner, since on a grid a node is a certain
     corner of one facet only: so the order of summation is always the same."""
+    if contact.ends is not None:
+        from tacgen.tensor_engine import gpu_facets
+
+        return gpu_facets.at_nodes(contact.ends, contact.N, forces)
     parts = contact.N.T @ forces
     out = forces.new_zeros(len(forces), nodes, forces.shape[-1])
     for corner in range(4):
@@ -77,9 +82,15 @@ class Iterates:
 
 def shrunk(now: Iterates) -> tuple[Contacts, Tensor]:
     """Contacts whose indenters are shrunk by the mean gap, and by how much it was off."""
-    near = (now.length <= now.contact.dhat) & (now.gap >= 0)  # far from the solution the mean gap is meaningless
-    drift = torch.where(near, now.gap - now.contact.offset, now.drift)
-    return now.contact.shrunk(torch.where(near, now.gap, now.contact.offset)), drift
+    contact, (length, gap, drift) = now.contact, (now.length, now.gap, now.drift)
+    if devices.by_kernels(gap):
+        from tacgen.tensor_engine import gpu_steps
+
+        offset, drift = gpu_steps.shrunk(length, contact.dhat, gap, contact.offset, drift)
+        return contact.shrunk(offset), drift
+    near = (length <= contact.dhat) & (gap >= 0)  # far from the solution the mean gap is meaningless
+    drift = torch.where(near, gap - contact.offset, drift)
+    return contact.shrunk(torch.where(near, gap, contact.offset)), drift
 
 
 def step(
@@ -92,29 +103,101 @@ def step(
     a part of the symmetric step. Otherwise those of whose coupled step no part is good enough, which are few, stay as
     they are, but SEARCHING.
     """
-    x, length, (contact, drift) = now.x, now.length, shrunk(now)
-    forces = contact.evaluate(x)
-    gradient = bulk.gradient(x)
+    x, (contact, drift), least = now.x, shrunk(now), SHORTEST if symmetric else MIN_COUPLED
+    forces, gradient = contact.evaluate(x), bulk.gradient(x)
     g = gradient - at_nodes(contact, forces.force, x.shape[1])
-    going = now.steps < max_steps
     p, exists = bulk.solve(contact, forces.definite if symmetric else forces.tangent, g, symmetric)
-    first, bent = contact.max_step(forces.gap, p, reach), bulk.times(p.flatten(1)).view_as(x)
-    full = torch.zeros_like(going)
+    bent, whole = bulk.times(p.flatten(1)).view_as(x), None
     if not symmetric:
         whole = gradient + bent - at_nodes(contact, contact.evaluate(x + p).force, x.shape[1])
-        full = exists & (first >= 1) & (_norm(whole) <= FULL_STEP * _norm(g))
-    fraction = torch.ones_like(length)
-    if recording() or not bool((full | ~going).all()):
-        least = SHORTEST if symmetric else MIN_COUPLED
-        along = bulk.energy(x, gradient), (gradient * p).sum((1, 2)), (p * bent).sum((1, 2))
-        fraction = torch.where(full, fraction, _downhill(along, contact, forces, x, g, p, exists, first, least))
+    trial = TriedStep(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
+    fractions, figures = tried(trial, contact, forces.gap, reach, least)
+    if devices.by_kernels(x) or recording() or not bool(((figures[:, FULL] > 0) | (now.steps >= max_steps)).all()):
+        fraction = downhill(fractions, figures, contact.merits(x, p, fractions, forces), least)
+    else:
+        fraction = torch.ones_like(reach)
     there = x + fraction[:, None, None] * p
     felt = contact.evaluate(there)
-    waits = going & (fraction == 0) & (not symmetric)
-    longest = p.abs().flatten(1).amax(1)
-    stuck = fraction == 0
-    gone = (there - bulk.start).abs().flatten(1).amax(1) > radius
-    there = torch.where(gone[:, None, None], x + _to_radius(x - bulk.start, there - x, radius) * (there - x), there)
+    return ended(now, contact, drift, bulk.start, there, fraction, figures, felt, xtol, radius, max_steps, symmetric)
+
+
+class TriedStep(NamedTuple):
+    """A step p (s, m, 3) from x, the bulk's start and load, its gradient and the whole one g at x, and by how much the
+    bulk's changes along p (s, m, 3) or (s, 3m); the whole one at x + p, None if it does not matter; and which steps
+    exist (s,)."""
+
+    x: Tensor
+    start: Tensor
+    load: Tensor
+    gradient: Tensor
+    g: Tensor
+    p: Tensor
+    bent: Tensor
+    whole: Tensor | None
+    exists: Tensor
+
+
+def tried(trial: TriedStep, contact: Contacts, gap: Tensor, reach: Tensor, least: float) -> tuple[Tensor, Tensor]:
+    """Fractions (s, t) of steps: 0, the first without tunnelling, a half of it and so on, as many as are longer than
+    `least` where the first is 1: a line search tries all at once, since a GPU hardly takes longer for many.
+
+    And figures (s, 6): the bulk's energy at x and its first and second derivative along p, the slope of all energy, inf
+    where there is no step, the longest motion of a node [mm], and whether the step halves the residual, 1, or not, 0.
+    """
+    halves = constant(HALVES, reach)[: int(-np.log2(least)) + 2]
+    if devices.by_kernels(reach):
+        from tacgen.tensor_engine import gpu_steps
+
+        return gpu_steps.tried(*trial, contact, gap, reach, halves)
+    x, start, load, gradient, g, p, bent, whole, exists = trial
+    first = contact.max_step(gap, p, reach)
+    full = torch.zeros_like(exists)
+    if whole is not None:
+        full = exists & (first >= 1) & (_norm(whole) <= FULL_STEP * _norm(g))
+    energy = ((x - start).flatten(1) * (gradient.flatten(1) + load)).sum(1) / 2
+    linear, square, slope = ((one * other).sum((1, 2)) for one, other in ((gradient, p), (p, bent), (g, p)))
+    columns = energy, linear, square, torch.where(exists, slope, torch.inf), p.abs().flatten(1).amax(1), full.to(p)
+    return first[:, None] * halves, torch.stack(columns, 1)
+
+
+def _norm(g: Tensor) -> Tensor:
+    return torch.linalg.norm(g.flatten(1), dim=1)
+
+
+def downhill(fractions: Tensor, figures: Tensor, merits: Tensor, least: float) -> Tensor:
+    """The first fraction (s,) that lowers the merit function by Armijo's rule; 0 if none down to `least` does, or there
+    is no step, and 1 where it halves the residual. merits (s, t): the contact's energy at the fractions."""
+    if devices.by_kernels(merits):
+        from tacgen.tensor_engine import gpu_steps
+
+        return gpu_steps.downhill(fractions, figures, merits, least)
+    energy, linear, square, slope, _, full = figures[..., None].unbind(1)
+    merit = energy + fractions * linear + fractions**2 * square / 2 + merits
+    here = merit[:, :1]
+    most = here + ROUNDING * here.abs() + ARMIJO * fractions * slope
+    lower = (merit <= most) & (slope <= 0) & (fractions >= least)
+    first = lower.to(torch.int8).argmax(1, keepdim=True)
+    return torch.where(full > 0, 1.0, torch.where(lower.any(1, keepdim=True), fractions.gather(1, first), 0.0))[:, 0]
+
+
+def ended(
+    now: Iterates, contact: Contacts, drift: Tensor, start: Tensor, there: Tensor, fraction: Tensor, figures: Tensor,
+    felt: Forces, xtol: Tensor, radius: Tensor, max_steps: int, symmetric: bool,
+) -> Iterates:  # fmt: skip
+    """After fractions (s,) of steps from now.x to `there` (s, m, 3), where contact is `felt`; see `step`."""
+    x, before, length = now.x, now.contact.offset, now.length
+    if devices.by_kernels(x):
+        from tacgen.tensor_engine import gpu_steps
+
+        x, offset, *rest = gpu_steps.ended(
+            x, there, start, fraction, figures, felt.N, felt.gap, radius, xtol, before, contact.offset, length,
+            now.drift, drift, now.gap, now.steps, max_steps, symmetric,
+        )  # fmt: skip
+        return Iterates(x, contact.shrunk(offset), *rest)
+    going, stuck, longest = now.steps < max_steps, fraction == 0, figures[:, LONGEST]
+    waits = going & stuck & (not symmetric)
+    gone = (there - start).abs().flatten(1).amax(1) > radius
+    there = torch.where(gone[:, None, None], x + _to_radius(x - start, there - x, radius) * (there - x), there)
     gap = torch.where(felt.total > 0, felt.mean_gap, -1.0)
     off = torch.where(gap >= 0, gap - contact.offset, 0.0)
     small = longest <= xtol
@@ -122,16 +205,12 @@ def step(
     stalled = ~done & (fraction * longest < SHORTEST * xtol)
     status = torch.where(done | (stalled & small), CONVERGED, torch.where(stalled, STOPPED, RUNNING))
     status = torch.where(going, torch.where(stuck | gone, UNSTABLE, status), STOPPED)
-    moved, old = going & ~stuck & ~waits, now.contact.offset
+    moved = going & ~stuck
     return Iterates(
-        torch.where(moved[:, None, None], there, x), contact.shrunk(torch.where(waits, old, contact.offset)),
+        torch.where(moved[:, None, None], there, x), contact.shrunk(torch.where(waits, before, contact.offset)),
         now.steps + (going & ~waits), torch.where(moved & ~gone, longest, length),
         torch.where(waits, now.drift, drift), torch.where(waits, now.gap, gap), torch.where(waits, SEARCHING, status),
     )  # fmt: skip
-
-
-def _norm(g: Tensor) -> Tensor:
-    return torch.linalg.norm(g.flatten(1), dim=1)
 
 
 def _to_radius(gone: Tensor, step: Tensor, radius: Tensor) -> Tensor:
@@ -139,38 +218,3 @@ def _to_radius(gone: Tensor, step: Tensor, radius: Tensor) -> Tensor:
     far = radius[:, None, None] - torch.sign(step) * gone
     away = torch.where(step != 0, far / step.abs().clamp(min=1e-300), torch.inf)
     return away.flatten(1).amin(1).clamp(min=0.0)[:, None, None]
-
-
-def _downhill(
-    bulk: tuple[Tensor, Tensor, Tensor],
-    contact: Contacts,
-    forces: Forces,
-    x: Tensor,
-    g: Tensor,
-    p: Tensor,
-    exists: Tensor,
-    first: Tensor,
-    least: float,
-) -> Tensor:
-    """The first of the fractions (s,) `first`, first/2, ... of steps p that lowers the merit function by Armijo's rule;
-    0 if none down to `least` does, or there is no step. bulk: its energy at x and the derivatives along p (s,)."""
-    energy, linear, square = bulk
-    here = energy + contact.merit_at(forces, forces)
-    slope = (g * p).sum((1, 2))
-    fractions = halves(first, least)
-    merit = energy[:, None] + fractions * linear[:, None] + fractions**2 * square[:, None] / 2
-    merit = merit + contact.merits(x, p, fractions, forces)
-    most = (here + ROUNDING * here.abs())[:, None] + ARMIJO * fractions * slope[:, None]
-    return first_of(fractions, (merit <= most) & (exists & (slope <= 0))[:, None] & (fractions >= least))
-
-
-def halves(first: Tensor, shortest: float) -> Tensor:
-    """The fractions (s, t) first, first/2, ..., as many as are longer than `shortest` where first is 1: a line search
-    tries all at once, since a GPU hardly takes longer for many."""
-    return first[:, None] * 0.5 ** torch.arange(int(-np.log2(shortest)) + 1, device=first.device)
-
-
-def first_of(fractions: Tensor, accepted: Tensor) -> Tensor:
-    """The first fraction (s,) of each row that is accepted (s, t), 0 if none is."""
-    first = accepted.to(torch.int8).argmax(1, keepdim=True)
-    return torch.where(accepted.any(1), fractions.gather(1, first).squeeze(1), 0.0)

@@ -15,6 +15,7 @@ from tacgen.fem.elasticity import PREDICTED, SMALLEST_J
 from tacgen.fem.elements import GAUSS2, trilinear
 from tacgen.fem.kernels import MILD
 from tacgen.fem.potential import Projection
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
 from tacgen.tensor_engine.products import outer, product
@@ -64,12 +65,17 @@ class Topology:
         place = np.arange(flat.size) - np.searchsorted(flat[order], flat[order])
         around = np.full((nodes, 8), flat.size)
         around[flat[order], place] = order
-        conn, near, face = (torch.tensor(part, dtype=torch.long, device=device) for part in (cells, around, facets))
+        numbers = (np.ascontiguousarray(part) for part in (cells, around, facets))
+        conn, near, face = (torch.tensor(part, dtype=torch.long, device=device) for part in numbers)
         return cls(conn, near, face, nodes)
 
     def at_nodes(self, parts: Tensor) -> Tensor:
         """Sums (s, n, c) of what each cell's corners have, (s, e, 8, c)."""
         s, _, _, c = parts.shape
+        if devices.by_kernels(parts) and c == 3:
+            from tacgen.tensor_engine import gpu_elements
+
+            return gpu_elements.at_nodes(self, parts)
         flat = torch.cat([parts.reshape(s, -1, c), parts.new_zeros((s, 1, c))], 1)
         return flat[:, self.around].sum(2)
 
@@ -117,9 +123,12 @@ class Hexes:
     @cached_property
     def own(self) -> tuple[Tensor, Tensor, Tensor]:
         """B, weights and numbers of the laws of the scenes of a call."""
-        if self.slots is None:
-            return self.B, self.weights, self.laws.values
-        return self.B[self.slots], self.weights[self.slots], self.laws.values[:, self.slots]
+        values = self.laws.values if self.slots is None else self.laws.values[:, self.slots]
+        return self._read(self.B), self._read(self.weights), values
+
+    def _read(self, part: Tensor) -> Tensor:
+        """Rows of the scenes of a call."""
+        return part if self.slots is None else part[self.slots]
 
     def deformation(self, x: Tensor) -> Tensor:
         """F (s, e, q, 3, 3) at positions x (s, n, 3)."""
@@ -135,7 +144,7 @@ class Hexes:
 
     def energy(self, x: Tensor) -> Tensor:
         """The energy (s,) [N mm] at positions x (s, n, 3), inf if a cell is inverted at a point."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return gpu_elements.states(self, x, False)[0].sum(1)
@@ -143,7 +152,7 @@ class Hexes:
 
     def gradient(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """J (s, e, q), 1 where a cell is inverted, and dE/dx (s, n, 3) [N] at positions x (s, n, 3)."""
-        if x.is_cuda:
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             _, J, forces = gpu_elements.states(self, x, True)
@@ -152,25 +161,26 @@ class Hexes:
         return at.J, self._spread(_piola(at.F, at.I1, at.first, self.laws.two_invariants))
 
     def mixed_forces(self, x: Tensor, J: Tensor, taken: Tensor) -> Tensor:
-        """Right-hand side (s, n, 3) at x of a step whose tangent was computed at F = `taken`, with the predicted J; see
-        fem.elasticity.Elastic.mixed_forces."""
-        if x.is_cuda:
+        """Right-hand side (s, n, 3) at x of a step whose tangent was computed at F = `taken` (capacity, e, q, 3, 3),
+        with the predicted J (capacity, e, q); see fem.elasticity.Elastic.mixed_forces."""
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return self.topology.at_nodes(gpu_elements.states(self, x, True, J, taken)[2])
-        at = self.evaluate(x)
-        first = self._with_pressure(at, J)
+        at, taken = self.evaluate(x), self._read(taken)
+        first = self._with_pressure(at, self._read(J))
         P = _piola(at.F, at.I1, first, self.laws.two_invariants)
         return self._spread(P + (at.first[2] - first[2])[..., None, None] * cofactor(taken))
 
     def predicted(self, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
-        """J (s, e, q) at positions `to`, to first order from J at x (s, n, 3), linearised at F = `taken`."""
-        if x.is_cuda:
+        """J (s, e, q) at positions `to`, to first order from J at x (s, n, 3), linearised at F = `taken`
+        (capacity, e, q, 3, 3)."""
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
             return gpu_elements.predictions(self, x, to, taken)
         F = self.deformation(x)
-        return determinant(F) + (cofactor(taken) * (self.deformation(to) - F)).sum((-2, -1))
+        return determinant(F) + (cofactor(self._read(taken)) * (self.deformation(to) - F)).sum((-2, -1))
 
     def _spread(self, P: Tensor) -> Tensor:
         """Nodal forces (s, n, 3) of stresses P (s, e, q, 3, 3)."""
@@ -193,7 +203,7 @@ class Hexes:
     ) -> tuple[Tensor, Tensor]:
         """F (s, e, q, 3, 3) at x (s, n, 3) and d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner +
         direction; with the pressure at the predicted J if given. dtype: in which they are computed."""
-        if x.is_cuda and projection is Projection.NONE and dtype is torch.float32:
+        if devices.by_kernels(x) and projection is Projection.NONE and dtype is torch.float32:
             from tacgen.tensor_engine import gpu_tangents
 
             return gpu_tangents.tangents(self, x, J)

@@ -13,6 +13,7 @@ import triton.language as tl
 from torch import Tensor
 
 from tacgen.mechanics.barrier import SOFT
+from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine.gpu_distance import POINTS, signed_distance, store_vector
 
 if TYPE_CHECKING:
@@ -20,16 +21,16 @@ if TYPE_CHECKING:
 
 NOWHERE = tl.constexpr(1e9)  # gap of facets that do not exist [mm]
 SOFTEST = tl.constexpr(SOFT)
-COUNTS = ("count", "nodes", "q", "trials")  # no code of its own for each value that they may have
+COUNTS = ("count", "nodes", "apart", "q", "trials")  # no code of its own for each value that they may have
 
 
 @triton.jit
-def _point(X, CONN, N, scene, k, nodes, facets, q, inside):
+def _point(X, CONN, N, scene, k, nodes, apart, q, inside):
     """The points number k (facet q + point) of nodes X."""
     x, y, z = 0.0, 0.0, 0.0
     for corner in tl.static_range(4):
         weight = tl.load(N + 4 * (k % q) + corner, mask=inside, other=0.0)
-        node = tl.load(CONN + (scene * facets + k // q) * 4 + corner, mask=inside, other=0)
+        node = tl.load(CONN + scene * apart + k // q * 4 + corner, mask=inside, other=0)
         at = X + 3 * (scene * nodes + node)
         x += weight * tl.load(at, mask=inside, other=0.0)
         y += weight * tl.load(at + 1, mask=inside, other=0.0)
@@ -38,17 +39,18 @@ def _point(X, CONN, N, scene, k, nodes, facets, q, inside):
 
 
 @triton.jit
+def _local(x, y, z, r, position):
+    """Points in the frame of an indenter at a pose."""
+    x, y, z = x - tl.load(position), y - tl.load(position + 1), z - tl.load(position + 2)
+    a = x * tl.load(r) + y * tl.load(r + 3) + z * tl.load(r + 6)
+    b = x * tl.load(r + 1) + y * tl.load(r + 4) + z * tl.load(r + 7)
+    return a, b, x * tl.load(r + 2) + y * tl.load(r + 5) + z * tl.load(r + 8)
+
+
+@triton.jit
 def _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES):
     """The gap at points in the sensor's frame, and its derivatives in the indenter's."""
-    ux, uy, uz = (
-        x - tl.load(POSITION + 3 * scene),
-        y - tl.load(POSITION + 3 * scene + 1),
-        z - tl.load(POSITION + 3 * scene + 2),
-    )
-    r = R + 9 * scene
-    lx = ux * tl.load(r) + uy * tl.load(r + 3) + uz * tl.load(r + 6)
-    ly = ux * tl.load(r + 1) + uy * tl.load(r + 4) + uz * tl.load(r + 7)
-    lz = ux * tl.load(r + 2) + uy * tl.load(r + 5) + uz * tl.load(r + 8)
+    lx, ly, lz = _local(x, y, z, R + 9 * scene, POSITION + 3 * scene)
     d, gx, gy, gz, xx, yy, zz, xy, xz, yz = signed_distance(
         lx, ly, lz, tl.load(KIND + scene), TABLE + 8 * scene, VALUES
     )
@@ -99,18 +101,17 @@ def _store_row(at, stored, flat, g, gx, gy, gz, soft, hx, hy, hz, pull, px, py, 
 
 @triton.jit(do_not_specialize=COUNTS)
 def _forces(
-    X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR,
-    GAP, AT, NORMAL, FORCE, PUSH, TANGENT, DEFINITE, count, nodes, q, SIZE: tl.constexpr,
+    X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR,
+    GAP, AT, NORMAL, FORCE, PUSH, TANGENT, DEFINITE, count, nodes, apart, q, SIZE: tl.constexpr,
 ):  # fmt: skip
     scene = tl.program_id(0).to(tl.int64)
     k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     inside = k < count
     number = scene * count + k
     area = tl.load(AREAS + number, mask=inside, other=0.0)
-    own = NUMBERS + 5 * scene
-    weight, dhat, offset = tl.load(own) * area, tl.load(own + 1), tl.load(own + 2)
-    mu, eps = tl.load(own + 3), tl.load(own + 4)
-    x, y, z = _point(X, CONN, N, scene, k, nodes, count // q, q, inside)
+    weight, dhat, offset = tl.load(KAPPA + scene) * area, tl.load(DHAT + scene), tl.load(OFFSET + scene)
+    mu, eps = tl.load(MU + scene), tl.load(EPS + scene)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
     d, gx, gy, gz, xx, yy, zz, xy, xz, yz = _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES)
     r = R + 9 * scene
     gx, gy, gz = _turned(r, gx, gy, gz)
@@ -173,19 +174,18 @@ def _forces(
 
 @triton.jit(do_not_specialize=COUNTS)
 def _merits(
-    X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR, NORMAL, FORCE, OUT,
-    count, nodes, q, trials, SIZE: tl.constexpr,
+    X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR,
+    NORMAL, FORCE, OUT, count, nodes, apart, q, trials, SIZE: tl.constexpr,
 ):  # fmt: skip
     scene, trial = tl.program_id(0).to(tl.int64), tl.program_id(1)
-    own = NUMBERS + 5 * scene
-    kappa, dhat, offset = tl.load(own), tl.load(own + 1), tl.load(own + 2)
-    mu, eps, fraction = tl.load(own + 3), tl.load(own + 4), tl.load(FRACTIONS + scene * trials + trial)
+    kappa, dhat, offset = tl.load(KAPPA + scene), tl.load(DHAT + scene), tl.load(OFFSET + scene)
+    mu, eps, fraction = tl.load(MU + scene), tl.load(EPS + scene), tl.load(FRACTIONS + scene * trials + trial)
     k = tl.program_id(2) * SIZE + tl.arange(0, SIZE)
     inside = k < count
     number = scene * count + k
     area = tl.load(AREAS + number, mask=inside, other=0.0)
-    x, y, z = _point(X, CONN, N, scene, k, nodes, count // q, q, inside)
-    px, py, pz = _point(STEP, CONN, N, scene, k, nodes, count // q, q, inside)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
+    px, py, pz = _point(STEP, CONN, N, scene, k, nodes, apart, q, inside)
     x, y, z = x + fraction * px, y + fraction * py, z + fraction * pz
     d, _, _, _, _, _, _, _, _, _ = _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES)
     s = d / dhat
@@ -208,22 +208,113 @@ def _merits(
     tl.store(OUT + (scene * trials + trial) * tl.num_programs(2) + tl.program_id(2), total)
 
 
+@triton.jit
+def _way(
+    BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, scene, k, count, nodes, apart, q, inside
+):  # fmt: skip
+    """Where points were in an indenter's frame, how they move in it, and whether they may come to touch."""
+    x, y, z = _point(BEFORE, CONN, N, scene, k, nodes, apart, q, inside)
+    x, y, z = _local(x, y, z, OLD_R + 9 * scene, OLD_POSITION + 3 * scene)
+    tx, ty, tz = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
+    tx, ty, tz = _local(tx, ty, tz, R + 9 * scene, POSITION + 3 * scene)
+    tx, ty, tz = tx - x, ty - y, tz - z
+    length = tl.sqrt(_dot(tx, ty, tz, tx, ty, tz))
+    near = length > tl.maximum(tl.load(GAPS + scene * count + k, mask=inside, other=0.0), 0.0)
+    near = near & inside & (tl.load(AREAS + scene * count + k, mask=inside, other=0.0) > 0)
+    return x, y, z, tx, ty, tz, near, tl.where(near, length, 0.0)
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _parts_of_way(
+    BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, REACH, OUT, count, nodes, apart, q,
+    SIZE: tl.constexpr,
+):  # fmt: skip
+    scene, longest, i = tl.program_id(0).to(tl.int64), tl.zeros((SIZE,), tl.float64), 0
+    while i < count:
+        k = i + tl.arange(0, SIZE)
+        _, _, _, _, _, _, _, length = _way(
+            BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, scene, k, count, nodes, apart, q,
+            k < count,
+        )  # fmt: skip
+        longest = tl.maximum(longest, length)
+        i += SIZE
+    tl.store(OUT + scene, tl.maximum(tl.ceil(4 * tl.max(longest, 0) / tl.load(REACH + scene)), 2.0))
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _blocked(
+    BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, REACH, PARTS, OFFSET, KIND, TABLE, VALUES, OUT,
+    count, nodes, apart, q, DEEP: tl.constexpr, TURNED: tl.constexpr, SIZE: tl.constexpr,
+):  # fmt: skip
+    scene, k = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    x, y, z, tx, ty, tz, near, length = _way(
+        BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, scene, k, count, nodes, apart, q, k < count,
+    )  # fmt: skip
+    through, entered, ex, ey, ez = 0 * k, 0 * k, 0 * x, 0 * x, 0 * x
+    if tl.max(length, 0) > 0:
+        parts, offset, deepest = tl.load(PARTS + scene), tl.load(OFFSET + scene), -DEEP * tl.load(REACH + scene)
+        kind, done = tl.load(KIND + scene), 0.0
+        while done <= parts:
+            part = done / parts
+            d, nx, ny, nz, _, _, _, _, _, _ = signed_distance(
+                x + part * tx, y + part * ty, z + part * tz, kind, TABLE + 8 * scene, VALUES
+            )
+            inside = (d + offset < 0) & near
+            new = inside & (entered == 0)
+            ex, ey, ez = tl.where(new, nx, ex), tl.where(new, ny, ey), tl.where(new, nz, ez)
+            turned = ((entered == 1) | inside) & (_dot(ex, ey, ez, nx, ny, nz) < -TURNED)
+            through = tl.where(turned | (near & (d < deepest)), 1, through)
+            entered = tl.where(inside, 1, 0)
+            done += 1.0
+    tl.store(OUT + scene * tl.num_programs(1) + tl.program_id(1), tl.max(through, 0) > 0)
+
+
+def blocked(
+    c: Contacts, before: Tensor, x: Tensor, rotation: Tensor, position: Tensor, gap: Tensor, reach: Tensor
+) -> Tensor:
+    """Whether a point passes through the indenter (s,) on the way from nodes `before` (s, n, 3), when its pose was
+    another and the gap (s, f, q), to x; see load_step.blocked."""
+    (s, f, q), n = c.areas.shape, x.shape[1]
+    parts, blocks = reach.new_empty(s), triton.cdiv(f * q, POINTS)
+    out = torch.empty(s, blocks, dtype=torch.bool, device=x.device)
+    way = tuple(part.contiguous() for part in (c.N, c.areas, c.rotation, c.position, rotation, position, gap, reach))
+    way, counts = (before.contiguous(), x.contiguous(), c.conn, *way), (f * q, n, c.conn.stride(0), q)
+    _parts_of_way[(s,)](*way, parts, *counts, SIZE=512, num_warps=16)
+    shape = c.shapes.kinds, c.shapes.table, c.shapes.values
+    _blocked[(s, blocks)](*way, parts, c.offset, *shape, out, *counts, DEEP=DEEPEST, TURNED=TURN, SIZE=POINTS)
+    return out.any(1)
+
+
 def _parts(c: Contacts) -> tuple[Tensor, ...]:
     """The parts of a contact that kernels take: facets, shape functions, areas, poses, shapes, numbers and anchors."""
-    numbers = torch.stack([c.kappa, c.dhat, c.offset, c.friction, c.eps], 1)
     parts = (
-        c.conn,
-        c.N,
-        c.areas,
-        c.rotation,
-        c.position,
-        c.shapes.kinds,
-        c.shapes.table,
-        c.shapes.values,
-        numbers,
-        c.anchor,
-    )
-    return tuple(part.contiguous() for part in parts)
+        c.N, c.areas, c.rotation, c.position, c.shapes.kinds, c.shapes.table, c.shapes.values,
+        c.kappa, c.dhat, c.offset, c.friction, c.eps, c.anchor,
+    )  # fmt: skip
+    return c.conn, *(part.contiguous() for part in parts)
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _gaps(
+    X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, OFFSET, OUT, count, nodes, apart, q, SIZE: tl.constexpr
+):  # fmt: skip
+    scene, k = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = k < count
+    area = tl.load(AREAS + scene * count + k, mask=inside, other=0.0)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, apart, q, inside)
+    d, _, _, _, _, _, _, _, _, _ = _gap(x, y, z, scene, area, tl.load(OFFSET + scene), R, POSITION, KIND, TABLE, VALUES)
+    tl.store(OUT + scene * count + k, d, mask=inside)
+
+
+def gaps(c: Contacts, x: Tensor) -> Tensor:
+    """contact.Contacts.gap_at_nodes."""
+    (s, f, q), x = c.areas.shape, x.contiguous()
+    out = x.new_empty(s, f, q)
+    if f * q:
+        conn, N, areas, *parts = _parts(c)
+        counts = f * q, x.shape[1], c.conn.stride(0), q
+        _gaps[(s, triton.cdiv(f * q, POINTS))](x, conn, N, areas, *parts[:5], c.offset, out, *counts, SIZE=POINTS)
+    return out
 
 
 def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
@@ -232,7 +323,7 @@ def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
     shapes = ((), (3,), (3,), (), (3,), (3, 3), (3, 3))
     out = tuple(x.new_empty(s, f, q, *shape) for shape in shapes)
     if f * q:
-        counts = f * q, x.shape[1], q
+        counts = f * q, x.shape[1], c.conn.stride(0), q
         _forces[(s, triton.cdiv(f * q, POINTS))](x, *_parts(c), *out, *counts, SIZE=POINTS)
     return out
 
@@ -243,6 +334,6 @@ def merits(c: Contacts, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces)
     blocks = triton.cdiv(f * q, POINTS)
     out, given = x.new_empty(s, trials, blocks), (frozen.normal.contiguous(), frozen.N.contiguous())
     if out.numel():
-        counts = f * q, x.shape[1], q, trials
+        counts = f * q, x.shape[1], c.conn.stride(0), q, trials
         _merits[(s, trials, blocks)](x, p, fractions.contiguous(), *_parts(c), *given, out, *counts, SIZE=POINTS)
     return out.sum(-1)

@@ -14,14 +14,16 @@ from torch import Tensor
 
 from tacgen.fem.elasticity import PREDICTED, SMALLEST_J
 from tacgen.fem.elements import grid_points
+from tacgen.fem.folding_barrier import J0, STIFFNESS
 from tacgen.tensor_engine.indices import constant
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.elements import Hexes, Topology
+    from tacgen.tensor_engine.inversion import FoldingBarriers
 
 CELLS = 32  # of a program, which has one warp: more would compute numbers of a cell again each
 DENSE = grid_points(8)[1]
-LEAST, MOST = tl.constexpr(SMALLEST_J), tl.constexpr(PREDICTED)
+LEAST, MOST, FOLDED, STIFF = (tl.constexpr(x) for x in (SMALLEST_J, PREDICTED, J0, STIFFNESS))
 COUNTS = ("cells", "nodes", "capacity")  # no code of its own for each value that they may have
 
 
@@ -133,7 +135,7 @@ def _states(
         J = tl.where(good, J, 1.0)
         total, mean = total + w, mean + w * J
         if MIXED:
-            P = tl.load(AHEAD + 8 * own + k, mask=inside, other=1.0)
+            P = tl.load(AHEAD + 8 * first + k, mask=inside, other=1.0)
             ahead += w * tl.minimum(tl.maximum(P, J / MOST), MOST * J)
     void = total <= 0
     volume = tl.where(void, 1.0, total)
@@ -178,7 +180,7 @@ def _states(
             r = 0 * w
             if MIXED:  # the pressure that the prediction lacks acts on the cofactor of the last tangent
                 r = -w * change
-                ta, tb, tc, td, tf, tg, th, ti, tj = _matrix(TAKEN + 9 * (8 * own + k), inside)
+                ta, tb, tc, td, tf, tg, th, ti, tj = _matrix(TAKEN + 9 * (8 * first + k), inside)
                 ka, kb, kc, kd, kf, kg, kh, ki, kj = cofactor(ta, tb, tc, td, tf, tg, th, ti, tj)
             fx = _turned(fx, u * a + v * ca + r * ka + m * (a * xx + b * xy + c * xz),
                          u * b + v * cb + r * kb + m * (a * xy + b * yy + c * yz),
@@ -208,7 +210,7 @@ def _predictions(X, TO, CONN, B, SLOTS, TAKEN, OUT, cells, nodes, capacity, SIZE
     px, py, pz = _corners(TO, CONN, scene, cell, nodes, inside)
     for k in range(8):
         bx, by, bz = _slopes(B, first, k, inside)
-        a, b, c, d, f, g, h, i, j = _matrix(TAKEN + 9 * (8 * own + k), inside)
+        a, b, c, d, f, g, h, i, j = _matrix(TAKEN + 9 * (8 * first + k), inside)
         ca, cb, cc, cd, cf, cg, ch, ci, cj = cofactor(a, b, c, d, f, g, h, i, j)
         p, q, r = _row(px - x, bx, by, bz)
         u, v, w = _row(py - y, bx, by, bz)
@@ -218,6 +220,17 @@ def _predictions(X, TO, CONN, B, SLOTS, TAKEN, OUT, cells, nodes, capacity, SIZE
         tl.store(OUT + 8 * own + k, out, mask=inside)
 
 
+@triton.jit
+def _least(x, y, z, SLOPES, rest, inside, POINTS: tl.constexpr):
+    """The lowest of det(dx/dxi) of cells over that at rest, from `rest` on, at the dense points."""
+    least, corner = tl.sum(x * 0, 1) + float("inf"), tl.arange(0, 8)[None, :]
+    for k in range(POINTS):
+        at = SLOPES + 24 * k + 3 * corner
+        J = _determinant(x, y, z, tl.load(at), tl.load(at + 1), tl.load(at + 2))
+        least = tl.minimum(least, J / tl.load(rest + k, mask=inside, other=1.0))
+    return least
+
+
 @triton.jit(do_not_specialize=COUNTS)
 def _lowest(X, CONN, SLOPES, REST, OUT, cells, nodes, capacity, POINTS: tl.constexpr, SIZE: tl.constexpr):
     scene = tl.program_id(0)
@@ -225,20 +238,73 @@ def _lowest(X, CONN, SLOPES, REST, OUT, cells, nodes, capacity, POINTS: tl.const
     inside = cell < cells
     own = scene.to(tl.int64) * cells + cell
     x, y, z = _corners(X, CONN, scene, cell, nodes, inside)
-    least = tl.zeros((SIZE,), tl.float64) + float("inf")
+    tl.store(OUT + own, _least(x, y, z, SLOPES, REST + POINTS * own, inside, POINTS), mask=inside)
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _folds(
+    X, CONN, SLOPES, REST, VOLUME, MU, TIMES, SLOTS, ENERGY, FORCES, cells, nodes,
+    POINTS: tl.constexpr, WANT: tl.constexpr, SIZE: tl.constexpr,
+):  # fmt: skip
+    scene = tl.program_id(0)
+    cell = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = cell < cells
+    slot, own = tl.load(SLOTS + scene).to(tl.int64), scene.to(tl.int64) * cells + cell
+    first = slot * cells + cell
+    volume = tl.load(VOLUME + first, mask=inside, other=0.0)
+    x, y, z = _corners(X, CONN, scene, cell, nodes, inside)
     corner = tl.arange(0, 8)[None, :]
-    for k in range(POINTS):
-        at = SLOPES + 24 * k + 3 * corner
-        J = _determinant(x, y, z, tl.load(at), tl.load(at + 1), tl.load(at + 2))
-        least = tl.minimum(least, J / tl.load(REST + POINTS * own + k, mask=inside, other=1.0))
-    tl.store(OUT + own, least, mask=inside)
+    least = _least(x, y, z, SLOPES, REST + POINTS * first, inside, POINTS)
+    least = tl.where(volume > 0, least, 1.0)
+    energy, wrong = tl.zeros((SIZE,), tl.float64), volume < 0
+    fx = tl.zeros((SIZE, 8), tl.float64)
+    fy, fz = fx, fx
+    if tl.min(least, 0) < FOLDED:
+        for k in range(POINTS):
+            at = SLOPES + 24 * k + 3 * corner
+            bx, by, bz = tl.load(at), tl.load(at + 1), tl.load(at + 2)
+            a, b, c = _row(x, bx, by, bz)
+            d, f, g = _row(y, bx, by, bz)
+            h, i, j = _row(z, bx, by, bz)
+            ca, cb, cc, cd, cf, cg, ch, ci, cj = cofactor(a, b, c, d, f, g, h, i, j)
+            rest = tl.load(REST + POINTS * first + k, mask=inside, other=1.0)
+            J = (a * ca + b * cb + c * cc) / rest
+            wrong = wrong | ~(J > LEAST)
+            s = tl.minimum(tl.where(J > LEAST, J, 1.0) / FOLDED, 1.0)
+            ln, r = tl.log(s), 1 - s
+            energy -= r * r * ln
+            if WANT:
+                u = (2 * r * ln - r * r / s) / rest  # of the derivatives of det(dx/dxi)
+                fx = _turned(fx, u * ca, u * cb, u * cc, bx, by, bz)
+                fy = _turned(fy, u * cd, u * cf, u * cg, bx, by, bz)
+                fz = _turned(fz, u * ch, u * ci, u * cj, bx, by, bz)
+    folded = least < FOLDED
+    scale = tl.load(MU + first, mask=inside, other=0.0) * tl.load(TIMES + slot) * STIFF * volume / POINTS
+    energy = tl.where(wrong, float("inf"), scale * energy)
+    tl.store(ENERGY + own, tl.where(folded, energy, 0.0), mask=inside)
+    if WANT:
+        at, scale = FORCES + 24 * own[:, None] + 3 * corner, tl.where(folded, scale / FOLDED, 0.0)[:, None]
+        tl.store(at, scale * fx, mask=inside[:, None])
+        tl.store(at + 1, scale * fy, mask=inside[:, None])
+        tl.store(at + 2, scale * fz, mask=inside[:, None])
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _at_nodes(AROUND, PARTS, OUT, cells, nodes, SIZE: tl.constexpr):
+    scene, k = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside, total = k < 3 * nodes, tl.zeros((SIZE,), tl.float64)
+    for j in tl.static_range(8):
+        at = tl.load(AROUND + k // 3 * 8 + j, mask=inside, other=0)
+        there = inside & (at < 8 * cells)
+        total += tl.load(PARTS + 3 * (8 * scene * cells + at) + k % 3, mask=there, other=0.0)
+    tl.store(OUT + 3 * nodes * scene + k, total, mask=inside)
 
 
 def states(
     hexes: Hexes, x: Tensor, want: bool, ahead: Tensor | None = None, taken: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Energies (s, e) of cells at x (s, n, 3), inf where one is inverted; if wanted J (s, e, 8) at their points and
-    forces (s, e, 8, 3) on their corners. With J `ahead` and F `taken`: forces of elements.Hexes.mixed_forces."""
+    forces (s, e, 8, 3) on their corners. With J `ahead` and F `taken`, as elements.Hexes.mixed_forces: its forces."""
     s, (e, _), mixed = len(x), hexes.topology.conn.shape, ahead is not None
     energy, J = x.new_empty(s, e), x.new_empty((s, e, 8) if want else 0)
     forces = x.new_empty((s, e, 8, 3) if want else 0)
@@ -251,7 +317,7 @@ def states(
 
 
 def predictions(hexes: Hexes, x: Tensor, to: Tensor, taken: Tensor) -> Tensor:
-    """J (s, e, 8) at positions `to` (s, n, 3) to first order from x, linearised at F `taken` (s, e, 8, 3, 3)."""
+    """J (s, e, 8) at positions `to` (s, n, 3) to first order from x, linearised at F `taken` (capacity, e, 8, 3, 3)."""
     s, (e, _) = len(x), hexes.topology.conn.shape
     out = x.new_empty(s, e, 8)
     _predictions[_grid(s, e)](
@@ -269,6 +335,26 @@ def lowest(topology: Topology, x: Tensor, rest: Tensor) -> Tensor:
         x.contiguous(), topology.conn, constant(DENSE, x), rest.contiguous(), out, e, x.shape[1], 0,
         POINTS=len(DENSE), SIZE=CELLS, num_warps=1,
     )  # fmt: skip
+    return out
+
+
+def folds(barriers: FoldingBarriers, x: Tensor, times: Tensor, want: bool) -> tuple[Tensor, Tensor]:
+    """Energies (s, e) of the barrier against inversion in cells at x (s, n, 3), inf where one is inverted, and, if
+    wanted, forces (s, e, 8, 3) on their corners; times (capacity,): factors of the stiffness."""
+    s, e = len(x), len(barriers.topology.conn)
+    energy, forces = x.new_empty(s, e), x.new_empty((s, e, 8, 3) if want else 0)
+    _folds[_grid(s, e)](
+        x.contiguous(), barriers.topology.conn, constant(DENSE, x), barriers.rest, barriers.volume, barriers.mu, times,
+        barriers.numbers, energy, forces, e, x.shape[1], POINTS=len(DENSE), WANT=want, SIZE=CELLS, num_warps=1,
+    )  # fmt: skip
+    return energy, forces
+
+
+def at_nodes(topology: Topology, parts: Tensor) -> Tensor:
+    """elements.Topology.at_nodes of parts (s, e, 8, 3)."""
+    s, e, n = len(parts), len(topology.conn), topology.nodes
+    out = parts.new_empty(s, n, 3)
+    _at_nodes[(s, triton.cdiv(3 * n, 128))](topology.around, parts.contiguous(), out, e, n, SIZE=128)
     return out
 
 

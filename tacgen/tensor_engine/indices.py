@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tacgen.tensor_engine import device as devices
+
 _HELD: dict[tuple[int, torch.dtype, torch.device], Tensor] = {}
 
 
@@ -22,6 +24,26 @@ def index_of(rows: Sequence[int], device: torch.device) -> Tensor:
     out = torch.tensor(rows, dtype=torch.long, device=device)
     out.rows = list(rows)
     return out
+
+
+def gathered(slots: Tensor, *parts: Tensor) -> tuple[Tensor, ...]:
+    """Rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous: on a GPU in one launch."""
+    if devices.by_kernels(slots):
+        from tacgen.tensor_engine import gpu_facets
+
+        return gpu_facets.rows(slots, parts)
+    return tuple(part[slots] for part in parts)
+
+
+def put(slots: Tensor, tensors: tuple[Tensor, ...], values: tuple[Tensor, ...]) -> None:
+    """Write values (s, ...) to the rows at slots (s,) of tensors: the reverse of `gathered`."""
+    if devices.by_kernels(slots):
+        from tacgen.tensor_engine import gpu_facets
+
+        return gpu_facets.put(slots, tensors, values)
+    for rows, value in zip(tensors, values, strict=True):
+        rows[slots] = value
+    return None
 
 
 def listed(index: Tensor) -> list[int]:

@@ -14,8 +14,9 @@ from tacgen.fem.elements import grid_points
 from tacgen.fem.folding_barrier import J0, STIFFNESS
 from tacgen.fem.jacobian import DEPTH, TABLES
 from tacgen.fem.potential import Projection
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.elements import Topology, clamped, cofactor, determinant, mapped, slopes, stiffness
-from tacgen.tensor_engine.indices import constant
+from tacgen.tensor_engine.indices import constant, gathered
 from tacgen.tensor_engine.laws import clamped_log
 from tacgen.tensor_engine.replay import rare, recording, room
 
@@ -65,57 +66,83 @@ class Folding:
 
 @dataclass(frozen=True)
 class FoldingBarriers:
-    """The barrier on all cells: nodes at rest X (s, n, 3), det(dX/dxi) at rest (s, e, q), volumes (s, e) [mm^3], 0 for
-    void cells, and shear moduli mu (s, e) [MPa]."""
+    """The barrier on all cells: nodes at rest X (capacity, n, 3), det(dX/dxi) at rest (capacity, e, q), volumes
+    (capacity, e) [mm^3], 0 for void cells, and shear moduli mu (capacity, e) [MPa]; slots (s,): the scenes of a call,
+    all if None. Stiffness is multiplied by `times` (capacity,)."""
 
     topology: Topology
     X: Tensor
     rest: Tensor
     volume: Tensor
     mu: Tensor
+    slots: Tensor | None = None
 
     @classmethod
     def on(cls, topology: Topology, X: Tensor, volume: Tensor, mu: Tensor) -> "FoldingBarriers":
-        return cls(topology, X, _determinants(X[:, topology.conn]), volume, mu)
+        return cls(topology, X, _determinants(X[:, topology.conn]).contiguous(), volume, mu)
 
     def rows(self, slots: Tensor) -> "FoldingBarriers":
         """Only some scenes (r,)."""
-        X, rest, volume, mu = (part[slots] for part in (self.X, self.rest, self.volume, self.mu))
-        return replace(self, X=X, rest=rest, volume=volume, mu=mu)
+        return replace(self, slots=slots)
+
+    @property
+    def numbers(self) -> Tensor:
+        """The slots of the scenes of a call."""
+        return torch.arange(len(self.X), device=self.X.device) if self.slots is None else self.slots
+
+    def energy(self, x: Tensor, times: Tensor) -> Tensor:
+        """The energy (s,) [N mm] at positions x (s, n, 3), inf if a cell is inverted."""
+        if devices.by_kernels(x):
+            from tacgen.tensor_engine import gpu_elements
+
+            return gpu_elements.folds(self, x, times, False)[0].sum(1)
+        return self.evaluate(x, times).energy
+
+    def gradient(self, x: Tensor, times: Tensor) -> Tensor:
+        """dE/dx (s, n, 3) [N] at positions x (s, n, 3)."""
+        if devices.by_kernels(x):
+            from tacgen.tensor_engine import gpu_elements
+
+            return self.topology.at_nodes(gpu_elements.folds(self, x, times, True)[1])
+        out = torch.zeros_like(x)
+        self.evaluate(x, times).add_forces(out)
+        return out
 
     def evaluate(self, x: Tensor, times: Tensor) -> Folding:
-        """At positions x (s, n, 3), with the stiffness of each scene multiplied by `times` (s,)."""
-        corners, low = x[:, self.topology.conn], self._lowest(x)
-        folded = (low < J0) & (self.volume > 0)
+        """At positions x (s, n, 3)."""
+        parts = self.X, self.rest, self.volume, self.mu, times
+        X, rest, volume, mu, times = parts if self.slots is None else gathered(self.slots, *parts)
+        corners, low = x[:, self.topology.conn], self._lowest(x, rest)
+        folded = (low < J0) & (volume > 0)
         if recording():  # the lowest; it is 0 where they are above J0
             most = min(room(*FOLDED), low.shape[1])
             rare(folded.sum(1) > most)
-            cell = torch.where(self.volume > 0, low, torch.inf).topk(most, largest=False).indices.flatten()
+            cell = torch.where(volume > 0, low, torch.inf).topk(most, largest=False).indices.flatten()
             scene = torch.arange(len(x), device=x.device).repeat_interleave(most)
         elif rare(folded):
             scene, cell = torch.nonzero(folded, as_tuple=True)
         else:
             none, cell = x.new_zeros(0), self.topology.conn.new_zeros(0)
             return Folding(self.topology, cell, cell, none, none, none, none, none, x.new_zeros(len(x)))
-        B, _ = mapped(self.X[scene[:, None], self.topology.conn[cell]], DENSE)
+        B, _ = mapped(X[scene[:, None], self.topology.conn[cell]], DENSE)
         q = len(DENSE)
-        weights = (self.volume[scene, cell] / q)[:, None].expand(-1, q)
+        weights = (volume[scene, cell] / q)[:, None].expand(-1, q)
         F = torch.einsum("kai,kqaJ->kqiJ", corners[scene, cell], B)
         J = determinant(F)
         good = J > SMALLEST_J
-        stiff = (STIFFNESS * times[scene] * self.mu[scene, cell])[:, None]
+        stiff = (STIFFNESS * times[scene] * mu[scene, cell])[:, None]
         U, slope, bend = clamped_log(stiff, torch.where(good, J, 1.0))
         energy = torch.where(good, weights * U, torch.inf).sum(1)
         total = x.new_zeros(len(x)).index_put_((scene,), energy, accumulate=True)
         return Folding(self.topology, scene, cell, B, weights, F, slope, bend, total)
 
-    def _lowest(self, x: Tensor) -> Tensor:
-        """The lowest J of each cell (s, e) at the dense points."""
-        if x.is_cuda:
+    def _lowest(self, x: Tensor, rest: Tensor) -> Tensor:
+        """The lowest J of each cell (s, e) at the dense points, where that at rest is (s, e, q)."""
+        if devices.by_kernels(x):
             from tacgen.tensor_engine import gpu_elements
 
-            return gpu_elements.lowest(self.topology, x, self.rest)
-        return (_determinants(x[:, self.topology.conn]) / self.rest).amin(-1)
+            return gpu_elements.lowest(self.topology, x, rest)
+        return (_determinants(x[:, self.topology.conn]) / rest).amin(-1)
 
 
 def _determinants(corners: Tensor) -> Tensor:

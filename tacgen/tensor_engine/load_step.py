@@ -16,13 +16,12 @@ from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import PARALLEL, TIE
 from tacgen.mechanics.solve_state import RATE_GUESS
 from tacgen.mechanics.tunnelling import DEEPEST, TURN
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import gathered, listed
 from tacgen.tensor_engine.reduction import solved_by_root, with_points
-from tacgen.tensor_engine.replay import rare, recording, room
-
-PARTS = 4, 32  # of a way along which a recording looks for a tunnel, first and where ways are longer
+from tacgen.tensor_engine.replay import recording
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
@@ -37,7 +36,7 @@ def begin(b: Batch, s: Tensor) -> list[Outcome]:
         folds=torch.ones_like(t.folds[s]), motion=torch.zeros_like(t.motion[s]),
     )  # fmt: skip
     contact = b.face(s, t.offset[s])
-    gap = contact.gap(contact.points(t.h_x[s]))
+    gap = contact.gap_at_nodes(t.h_x[s])
     touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)
     apart = ~touching.any(-1)
     usable = torch.tensor([course.usable for course in courses], device=s.device)
@@ -146,8 +145,8 @@ def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor]:
     ties = torch.where(contact.areas > 0, TIE * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0)[..., None]
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
     place = torch.arange(k, device=s.device).expand(len(s), -1)
-    S = b.read("S", s, k, k)
-    K = with_points(S, place, contact.conn, contact.N.to(S.dtype), (ties[..., None] * eye).to(S.dtype))
+    S, facets = b.wide("S", k, k), (contact.conn, contact.ends, contact.N)
+    K = with_points(S, s, place, place, *facets, ties[..., None] * eye)
     pull = at_nodes(contact, ties * motion[row, faces], k // 3).flatten(1)
     u, good = solved_by_root(K, pull[..., None].to(S.dtype))
     good = good & (ties > 0).flatten(1).any(1)
@@ -233,6 +232,11 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     """Whether a straight step from the last positions to x (s, n, 3) carries a point of the face through the indenter;
     see mechanics.tunnelling.blocked."""
     t, contact = b.t, b.face(s, b.t.offset[s])
+    if devices.by_kernels(x):
+        from tacgen.tensor_engine import gpu_contact
+
+        before, turned, position, gap, reach = gathered(s, t.h_x, t.h_rotation, t.h_position, t.h_gap, b.reach)
+        return gpu_contact.blocked(contact, before, x, turned, position, gap, reach)
     first = _last_local(b, s, contact.points(t.h_x[s]))
     way = contact.local(contact.points(x)) - first
     length = torch.linalg.norm(way, dim=-1)
@@ -242,12 +246,7 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     parts = torch.ceil(4 * longest / reach).clamp(min=2)
     entered, entry = torch.zeros_like(near), torch.zeros_like(first)
     out = torch.zeros(len(s), dtype=torch.bool, device=s.device)
-    if recording():
-        most = room(*PARTS)
-        rare(parts > most)
-    else:
-        most = int(parts.max()) if bool(near.any()) else -1
-    for k in range(most + 1):
+    for k in range(int(parts.max()) + 1 if bool(near.any()) else 0):
         at = first + (k / parts)[:, None, None, None] * way
         d, n, _ = contact.shapes.distance(at.flatten(1, 2))
         d, n = d.view(near.shape), n.view(at.shape)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.scope import KINDS, NUMBERS
 
 Distances = tuple[Tensor, Tensor, Tensor]
@@ -40,9 +41,14 @@ class Shapes:
         table, numbers = torch.tensor(rows, dtype=dtype, device=device), torch.arange(len(shapes), device=device)
         return cls(numbers, kinds, table, torch.cat(parts), tuple(shapes))
 
-    def rows(self, slots: Tensor) -> "Shapes":
-        """Only some scenes."""
-        return replace(self, numbers=self.numbers[slots], kinds=self.kinds[slots], table=self.table[slots])
+    @property
+    def rows(self) -> Distances:
+        """Parts that have a row for each scene."""
+        return self.numbers, self.kinds, self.table
+
+    def only(self, numbers: Tensor, kinds: Tensor, table: Tensor) -> "Shapes":
+        """Only some scenes, with their rows."""
+        return replace(self, numbers=numbers, kinds=kinds, table=table)
 
     def replaced(self, slot: int, shape: Shape) -> "Shapes":
         """With another indenter of one scene of a whole batch; fields that no scene has any more are dropped."""
@@ -60,7 +66,7 @@ class Shapes:
     def distance(self, p: Tensor) -> Distances:
         """Signed distance [mm] (s, k), its gradient (s, k, 3) and Hessian [1/mm] (s, k, 3, 3) at points p (s, k, 3) in
         each indenter's own frame."""
-        if p.is_cuda:
+        if devices.by_kernels(p):
             from tacgen.tensor_engine import gpu_distance
 
             return gpu_distance.distances(p, self.kinds, self.table, self.values)

@@ -133,7 +133,7 @@ def test_merit_and_longest_steps_are_those_of_the_cpu() -> None:
     case = Case()
     frozen, r = case.many.evaluate(case.X), np.random.default_rng(8)
     p = r.normal(size=case.X.shape) * 0.3
-    merit = case.many.merit(case.X + 0.1 * torch.tensor(p), frozen)
+    merit = case.many.merits(case.X, torch.tensor(p), torch.full_like(case.X[:, :1, 0], 0.1), frozen)[:, 0]
     reach = torch.tensor([min(one.contact.shape.reach, 1e9) for one in case.one], dtype=torch.float64)
     steps = case.many.max_step(frozen.gap, torch.tensor(p), reach)
     for row, (one, x) in enumerate(zip(case.one, case.x, strict=True)):

@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,9 +27,11 @@ from tacgen.tensor_engine import (
     gpu_fronts,
     gpu_substitution,
     gpu_tangents,
+    load_step,
     multifrontal,
     products,
 )
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.elements import Hexes
@@ -277,7 +281,8 @@ def test_energy_and_forces_of_cells() -> None:
     hexes = Hexes.on(case.topology, case.X, exists, case.laws).rows(slots)
     x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
     x[4, 0] += 1.5
-    taken = hexes.deformation(there)
+    taken, ahead = torch.zeros(5, 27, 8, 3, 3, dtype=x.dtype), torch.zeros(5, 27, 8, dtype=x.dtype)
+    taken[slots] = hexes.deformation(there)
     J, forces = hexes.gradient(x)
     energy, found, parts = gpu_elements.states(hexes, x, True)
     assert torch.isinf(hexes.energy(x)).tolist() == torch.isinf(energy.sum(1)).tolist() == [False] * 4 + [True]
@@ -289,7 +294,7 @@ def test_energy_and_forces_of_cells() -> None:
         ("predicted", gpu_elements.predictions(hexes, there, x, taken), hexes.predicted(there, x, taken)),
     ):
         assert close(one[:4], other[:4]), name
-    ahead = hexes.predicted(there, x, taken)
+    ahead[slots] = hexes.predicted(there, x, taken)
     mixed = case.topology.at_nodes(gpu_elements.states(hexes, x, True, ahead, taken)[2])
     wanted = hexes.mixed_forces(x, ahead, taken)
     assert close(mixed[:4], wanted[:4])
@@ -302,7 +307,7 @@ def test_tangents_of_cells(mixed: bool) -> None:
     case, slots = test_elements.Case(), torch.tensor([3, 1, 0])
     hexes = Hexes.on(case.topology, case.X, case.exists, case.laws).rows(slots)
     x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
-    J = hexes.predicted(there, x, hexes.deformation(there)) if mixed else None
+    J = hexes.predicted(there, x, case.many.deformation(case.tensor(case.taken))) if mixed else None
     F, wanted = hexes.tangents(x, J)
     found, K = gpu_tangents.tangents(hexes, x, J)
     assert close(found, F)
@@ -313,7 +318,7 @@ def test_lowest_jacobians_of_cells() -> None:
     case = test_elements.Case()
     x, one = case.tensor(case.x), torch.ones(case.exists.shape, dtype=torch.float64)
     barriers = FoldingBarriers.on(case.topology, case.X, one, one)
-    assert close(gpu_elements.lowest(case.topology, x, barriers.rest), barriers._lowest(x))
+    assert close(gpu_elements.lowest(case.topology, x, barriers.rest), barriers._lowest(x, barriers.rest))
 
 
 @pytest.mark.parametrize("shape", [(6, 70, 100), (6, 3, 20, 5), (6, 3, 0, 5)])
@@ -328,3 +333,44 @@ def test_products_of_matrices_in_slots(shape: tuple[int, ...], transposed: bool)
     found = gpu_blocks.slot_times(*parts, transposed)
     assert found.shape == wanted.shape
     assert not wanted.numel() or close(found, wanted, 1e-12)
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+def test_the_barrier_of_cells() -> None:
+    """Of scenes in other slots than their own, with an inverted cell and a void one."""
+    case, slots = test_elements.Case(), torch.tensor([3, 4, 0, 1])
+    mu, times = torch.linspace(0.1, 0.4, case.exists.numel()).double().view(case.exists.shape), torch.arange(5.0) + 1
+    volume = case.many.weights.sum(-1)
+    volume[0, 0] = 0.0
+    barrier = FoldingBarriers.on(case.topology, case.X, volume, mu).rows(slots)
+    x = (case.X + 0.6 * (case.tensor(test_elements.folded(case)) - case.X))[slots]
+    x[1, 0] += 1.0
+    x[2, case.cells[0][0][0]] += 0.4  # of the void cell alone
+    energy, parts = gpu_elements.folds(barrier, x, times.double(), True)
+    wanted, forces = barrier.energy(x, times.double()), barrier.gradient(x, times.double())
+    assert torch.isinf(energy.sum(1)).tolist() == torch.isinf(wanted).tolist() == [False, True, False, False]
+    assert close(energy.sum(1)[[0, 2, 3], None], wanted[[0, 2, 3], None])
+    assert (wanted > 0).tolist() == [True, True, False, True]  # the only folded cell of slot 0 is void
+    assert close(gpu_elements.at_nodes(case.topology, parts)[[0, 2, 3]], forces[[0, 2, 3]])
+    parts = torch.tensor(np.random.default_rng(8).normal(size=parts.shape))
+    assert close(gpu_elements.at_nodes(case.topology, parts), case.topology.at_nodes(parts))
+    assert torch.equal(gpu_elements.folds(barrier, x, times.double(), False)[0], energy)
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+@pytest.mark.parametrize(("drop", "reach", "many"), [(0.05, 0.5, 0), (0.6, 9.0, 1), (0.6, 0.7, 7)])
+def test_points_that_pass_through(drop: float, reach: float, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Too deep, and out on the other side; in few parts and in many."""
+    case, s = Case(), torch.arange(len(SHAPES))
+    contact, far = case.many, torch.tensor([0.1, 0.05, 0.4])
+    old = replace(contact, position=contact.position + far, rotation=contact.rotation[:, [1, 0, 2]])
+    t = SimpleNamespace(offset=contact.offset, h_x=case.X, h_rotation=old.rotation, h_position=old.position)
+    t.h_gap = old.gap_at_nodes(case.X)
+    t.h_gap[1] += 9.0  # not near
+    b = SimpleNamespace(t=t, reach=torch.full((len(s),), reach).double(), face=lambda s, offset: contact)
+    x = case.X + torch.tensor([0.1, 0.0, drop])
+    wanted = load_step.blocked(b, s, x)
+    monkeypatch.setattr(devices, "by_kernels", lambda x: True)
+    assert close(contact.gap_at_nodes(x), contact.gap(contact.points(x)))
+    assert load_step.blocked(b, s, x).tolist() == wanted.tolist()
+    assert wanted.sum() == many

@@ -30,14 +30,14 @@ def test_contact_on_the_reduced_system_has_the_answer_of_the_whole() -> None:
     S, active, conn, N, D = systems()
     part, definite = reduced(S, active, WIDTH)
     assert definite.all()
-    K = with_points(part.K, part.place, conn, N, D)
+    K = with_points(part.K, part.slots, part.kept, part.place, conn, None, N, D)
     b = torch.tensor(np.random.default_rng(0).normal(size=(3, WIDTH)))
     for k, n in enumerate(SIZES):
         b[k, n:] = 0.0
     x, good = part.solve(K, b, False)
     assert good.all()
     everywhere = torch.arange(WIDTH).expand(3, -1)
-    whole = with_points(S, everywhere, conn, N, D)
+    whole = with_points(S, part.slots, everywhere, everywhere, conn, None, N, D)
     assert (whole - whole.mT).abs().max() > 0.1
     assert torch.linalg.solve(whole, b[..., None]).squeeze(-1).numpy() == pytest.approx(x.numpy(), abs=1e-10)
 

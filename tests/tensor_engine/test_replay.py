@@ -13,8 +13,8 @@ from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_mod
 
 import tacgen.tensor_engine.batch
 from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.tensor_engine import admission, inversion, load_step, pool, replay
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine import inversion, pool, replay
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.indices import index_of
 from tacgen.tensor_engine.replay import Replays, fitting, padded, rare
@@ -54,6 +54,7 @@ def excused(function: Callable) -> Callable:
 @pytest.fixture
 def watched(monkeypatch: pytest.MonkeyPatch) -> None:
     names = [(Contacts, "evaluate"), (Contacts, "merits"), (Shapes, "distance")]
+    names += [(load_step, "blocked"), (admission, "blocked")]
     for owner, name in [*names, *((Dense, each) for each in ("factor", "schur", "forward", "expand"))]:
         monkeypatch.setattr(owner, name, excused(getattr(owner, name)))
     noting = replay._noting

@@ -1,0 +1,271 @@
+"""A step of the contact by kernels is that by plain operations; without a GPU under Triton's interpreter."""
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
+pytest.importorskip("triton")
+
+from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
+
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.tensor_engine import condensation, load_step, reduction, replay
+from tacgen.tensor_engine import contact_newton as newton
+from tacgen.tensor_engine import device as devices
+from tacgen.tensor_engine.contact_newton import Iterates, TriedStep
+from tacgen.tensor_engine.replay import Replays
+from tensor_engine.batches import batch, path, small, solve
+from tensor_engine.dense import Dense
+from tensor_engine.test_contact import Case
+
+pytestmark = pytest.mark.slow  # the interpreter takes seconds
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+R = np.random.default_rng
+alone = pytest.mark.skipif(DEVICE == "cuda", reason="small batches are on the CPU")
+# operations that launch nothing
+VIEWS = {"view", "expand", "slice", "select", "unsqueeze", "squeeze", "transpose", "t", "permute", "_unsafe_view"}
+VIEWS |= {"unbind", "alias", "detach", "empty", "empty_like", "new_empty", "split", "diagonal", "expand_as"}
+# of work on scenes, with kernels where there were hundreds: where scenes are few that is its time
+LAUNCHES = {"acted": 7, "contact": 45, "search": 56, "measure": 60, "load": 22}
+
+
+def tensor(values: Any) -> torch.Tensor:
+    return torch.tensor(np.array(values), device=DEVICE)
+
+
+def both(function: Callable[[], Any], monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any]:
+    """What a function returns by kernels, and by plain operations."""
+    found = []
+    for by_kernels in (True, False):
+        monkeypatch.setattr(devices, "by_kernels", lambda x, now=by_kernels: now)
+        found.append(function())
+    return found[0], found[1]
+
+
+def same(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-12) -> bool:
+    """Whether two are equal but for rounding, and infinite at the same places."""
+    finite = torch.isfinite(wanted)
+    size = torch.where(finite, wanted, 0).abs().max().clamp(min=1e-9) if wanted.numel() else 1.0
+    close = (torch.where(finite, found - wanted, 0).abs() <= relative * size).all()
+    return found.dtype == wanted.dtype and bool(close & (found[~finite] == wanted[~finite]).all())
+
+
+@alone
+def test_facets_and_sums_at_their_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of scenes in other slots than their own, condensed to unlike parts of the face."""
+    b = batch([small(SphereSdf(1.5), path((0, 0, -0.3)))] * 3)
+    marked, every = torch.zeros(3, len(b.topology.facets), dtype=torch.bool), b.slots([0, 1, 2])
+    marked[0, 7] = marked[1, 6:8] = marked[2, 12] = True
+    load_step.cover(b, every, marked, torch.ones(3, dtype=torch.bool))
+    b.t.anchor[:], b.dhat[:] = torch.tensor(R(1).normal(size=b.t.anchor.shape)), torch.arange(3) + 1.0
+    s, nodes = b.slots([2, 0]), max(course.nodes for course in b.courses) + 3
+    one, other = both(lambda: b.near(s, b.t.offset[s], nodes), monkeypatch)
+    real = other.areas > 0
+    assert real.any(2).sum(1).tolist() == [9, 9]
+    for name in ("areas", "dhat", "rotation", "conn"):
+        assert torch.equal(getattr(one, name), getattr(other, name)), name
+    assert torch.equal(one.anchor[real], other.anchor[real])
+    force = torch.tensor(R(2).normal(size=one.anchor.shape)) * real[..., None]
+    assert same(newton.at_nodes(one, force, nodes), newton.at_nodes(other, force, nodes))
+    everywhere = torch.tensor(R(5).normal(size=b.X.shape))
+    x, at = both(lambda: b.at_condensed(s, everywhere, nodes), monkeypatch)
+    assert torch.equal(x, at)
+    assert torch.equal(x[0, :16], everywhere[2, b.t.nodes[2, :16]])
+
+    D = torch.tensor(R(3).normal(size=(*real.shape, 3, 3))) * real[..., None, None]
+    K = torch.tensor(R(4).normal(size=(3, 60, 60)), dtype=torch.float32)[:, :40, :40]
+    place = torch.full((2, 3 * nodes), -1)
+    place[0, 5:42] = torch.arange(37)
+    place[1, 3:43] = torch.arange(40).flip(0)
+    kept = torch.full((2, 40), -1)
+    for row, each in enumerate(place):
+        acted = torch.nonzero(each >= 0).squeeze(1)
+        kept[row, each[acted]] = acted
+    stiff = [reduction.with_points(K, s, kept, place, c.conn, c.ends, c.N, D) for c in (one, other)]
+    assert same(stiff[0], stiff[1], 1e-6)
+    assert (stiff[1] - K[s]).abs().amax((1, 2)).min() > 0.5
+
+
+@alone
+def test_what_contact_acts_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a reduction to other unknowns, to these and others, and without one."""
+    b = batch([small(SphereSdf(1.5), path((0, 0, -0.3)))] * 4)
+    b.replays = Replays(torch.device("cpu"), on=True)
+    marked, s = torch.zeros(4, len(b.topology.facets), dtype=torch.bool), b.slots([3, 1, 0])
+    marked[:, 6:8] = True
+    load_step.cover(b, b.slots(range(4)), marked, torch.ones(4, dtype=torch.bool))
+    sizes = b.sizes(s)._replace(nodes=20)  # room is wider
+    assert {course.nodes for course in b.courses} == {20}
+    b.t.active[3, 50:54], b.t.active[1], b.t.active[0, :9] = True, True, True
+    kept = torch.tensor([1.0, 1.0, 0.0]).double()
+
+    def acted() -> list[torch.Tensor]:
+        contact = b.near(s, b.t.offset[s], sizes.nodes)
+        N = torch.zeros_like(contact.areas)
+        N[:, 1, 2], N[:, 2, 0] = 0.1, 0.2
+        b.t.wanted[:] = True
+        return [*condensation.acted(b, sizes, s, contact, N, kept), b.t.wanted[s]]
+
+    for one, other in zip(*both(acted, monkeypatch), strict=True):
+        assert torch.equal(one, other)
+    assert other.sum(1).tolist() == acted()[1].tolist() == [22, 60, 18]
+    assert acted()[0].tolist() == [True, False, True]
+
+
+def test_solutions_on_the_kept_unknowns_are_put_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    r, k, a = R(5), 30, 12
+    place = np.full((4, k), -1)
+    place[:, 3:13] = np.arange(10)
+    kept = np.full((4, a), -1)
+    kept[:, :10] = np.arange(3, 13)
+    G, X, K = (tensor(r.normal(size=(6, *shape)).astype(np.float32)) for shape in ((k, k), (k, a), (a, a)))
+    K = K @ K.mT + 4 * torch.eye(a, device=DEVICE)
+    X[4, 2, 3] = torch.inf
+    part = reduction.Reduction(tensor(kept), tensor(place), G, X, K, tensor([3, 0, 5, 4]))
+    b = tensor(r.normal(size=(4, k)))
+    (x, good), (wanted, fine) = both(lambda: part.solve(K[part.slots], b, True), monkeypatch)
+    assert same(x, wanted, 1e-6)
+    assert good.tolist() == fine.tolist() == [True, True, True, False]
+    right, product = b[..., None].float(), b[..., None].float() * (1 + 0.9e-3)
+    product[1, 4] += 2e-3 * right[1].abs().max()
+    product[2, 5] = torch.nan
+    one, other = both(lambda: reduction._exact(right, product), monkeypatch)
+    assert one.tolist() == other.tolist() == [True, False, False, True]
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_fractions_to_try_and_figures_of_steps(symmetric: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    case, r = Case(), R(6)
+    gap = case.many.evaluate(case.X).gap.to(DEVICE)
+    parts = {name: getattr(case.many, name).to(DEVICE) for name in ("conn", "N", "areas")}
+    contact, (s, m, _) = replace(case.many, **parts), case.X.shape
+    start, gradient, g, p, bent = (tensor(r.normal(size=(s, m, 3))) for _ in range(5))
+    p = p * tensor(10.0 ** -np.arange(s))[:, None, None]  # some steps are short enough to be whole
+    whole = g * tensor(np.where(np.arange(s) % 2, 0.49, 0.51))[:, None, None]
+    exists, reach = tensor(np.arange(s) != 3), tensor(np.linspace(0.1, 0.9, s))
+    trial = TriedStep(case.X.to(DEVICE), start, tensor(r.normal(size=(s, 3 * m))), gradient, g, p, bent,
+                  None if symmetric else whole, exists)  # fmt: skip
+    least = newton.SHORTEST if symmetric else newton.MIN_COUPLED
+    found, wanted = both(lambda: newton.tried(trial, contact, gap, reach, least), monkeypatch)
+    for one, other in zip(found, wanted, strict=True):
+        assert same(one, other)
+    assert 0 < wanted[0][:, 1].min() < wanted[0][:, 1].max() == 1
+    assert wanted[1][:, newton.FULL].sum() == (0 if symmetric else 2)  # not 1, too long, nor 3
+
+
+def test_the_first_fraction_that_is_low_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    fractions = tensor([[0.0, 1.0, 0.5, 0.25, 0.125]]).double().repeat(7, 1)
+    figures = tensor([[1.0, 2.0, 0.5, -1.0, 0.3, 0.0]]).repeat(7, 1)
+    figures[4, 3], figures[5, 3], figures[6, 5] = 0.1, torch.inf, 1.0
+    merits = -2 * fractions - 0.25 * fractions**2  # so that the whole energy is the same everywhere
+    merits += tensor(np.where(np.arange(7)[:, None] == 3, 1e-3, 0.0))
+    merits[0, 1:] -= 0.5
+    merits[1, 3:] -= 0.5
+    merits[2, 4] -= 0.5
+    merits[3, 1:] += 1.0
+    merits[4, 1:] -= 0.5
+    merits[5, 1:] -= 0.5
+    for least, third in ((0.1, 0.125), (0.2, 0.0)):
+        found, wanted = both(partial(newton.downhill, fractions, figures, merits, least), monkeypatch)
+        assert found.tolist() == wanted.tolist() == [1.0, 0.25, third, 0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_ends_of_steps(symmetric: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    case, r, s, m = Case(), R(7), 64, 30
+    some = tensor(np.arange(s) % len(case.X))
+    contact = replace(case.many, **{name: getattr(case.many, name).to(DEVICE)[some] for name in ("dhat", "offset")})
+    x, start = (tensor(r.normal(size=(s, m, 3))) for _ in range(2))
+    start = x + 0.1 * start
+    longest = 10.0 ** tensor(r.integers(-12, 0, s)).double()
+    step = tensor(r.uniform(-1, 1, (s, m, 3))) * longest[:, None, None]
+    fraction = tensor(r.choice([0.0, 1e-8, 0.5, 1.0], s, p=[0.2, 0.1, 0.2, 0.5]))
+    figures = torch.stack([longest] * 6, 1)
+    N = tensor(r.uniform(0, 1, (s, 5, 4))) * tensor(r.integers(0, 2, s)).double()[:, None, None]
+    felt = replace(case.many.evaluate(case.X), N=N, gap=tensor(r.uniform(0, 0.04, (s, 5, 4))))
+    numbers = [tensor(r.uniform(-0.01, 0.1, s)) for _ in range(5)]
+    now = Iterates(x, contact.shrunk(numbers[0]), tensor(r.integers(0, 12, s)), *numbers[1:4], tensor(np.zeros(s, int)))
+    xtol, radius = tensor(r.choice([1e-4, 1e-1], s)), tensor(r.choice([0.25, 9.0], s))
+
+    def after() -> Iterates:
+        contact, drift = newton.shrunk(now)
+        there = x + fraction[:, None, None] * step
+        return newton.ended(now, contact, drift, start, there, fraction, figures, felt, xtol, radius, 10, symmetric)
+
+    found, wanted = both(after, monkeypatch)
+    for name in ("x", "steps", "length", "drift", "gap", "status"):
+        assert same(getattr(found, name), getattr(wanted, name)), name
+    assert same(found.contact.offset, wanted.contact.offset)
+    searching = set() if symmetric else {newton.SEARCHING}
+    ends = {newton.RUNNING, newton.CONVERGED, newton.STOPPED, newton.UNSTABLE}
+    assert set(wanted.status.tolist()) == ends | searching
+
+
+class Launches(TorchDispatchMode):
+    """Counts operations that launch something."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count: Counter[str] = Counter()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
+        name = func.overloadpacket.__name__
+        self.count.update([name] if name not in VIEWS else [])
+        return func(*args, **(kwargs or {}))
+
+    def as_one(self, owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Count a function as one launch."""
+        function = getattr(owner, name)
+
+        def one(*args: Any, **kwargs: Any) -> Any:
+            self.count[name] += 1
+            with _disable_current_modes():
+                return function(*args, **kwargs)
+
+        monkeypatch.setattr(owner, name, one)
+
+
+@alone
+def test_a_scene_solved_by_kernels_in_few_launches(monkeypatch: pytest.MonkeyPatch) -> None:
+    import triton.runtime.interpreter
+
+    """Of one that takes parts of coupled steps and of a symmetric one."""
+    scenes, launches, counts, keys = [small(SphereSdf(1.5), path((0.2, 0.1, -0.35)), friction=0.5)], Launches(), {}, []
+    (wanted,) = solve(batch(scenes), scenes)
+    monkeypatch.setattr(devices, "by_kernels", lambda x: True)
+    for owner, name in (*((Dense, each) for each in ("factor", "schur", "forward", "expand")),
+                        (triton.runtime.interpreter.GridExecutor, "__call__")):  # fmt: skip
+        launches.as_one(owner, name, monkeypatch)
+    noting, called = replay._noting, Replays._called
+
+    @contextmanager
+    def counted(roomy: bool) -> Iterator[Any]:
+        launches.count.clear()
+        with noting(roomy) as notes, launches:
+            yield notes
+        if keys[-1][0] != "contact" or not keys[-1][-1]:  # symmetric
+            counts[keys[-1][0]] = launches.count.total()
+
+    def kept(self: Replays, key: tuple, *others: Any) -> Any:
+        keys.append(key)
+        return called(self, key, *others)
+
+    monkeypatch.setattr(replay, "_noting", counted)
+    monkeypatch.setattr(Replays, "_called", kept)
+    b = batch(scenes)
+    b.replays = Replays(torch.device("cpu"), on=True)
+    (found,) = solve(b, scenes)
+    assert found.why is None
+    assert np.abs(found.states[0].x - wanted.states[0].x).max() < 1e-9
+    for work, most in LAUNCHES.items():
+        assert 0 < counts[work] <= most, (work, counts[work])
