@@ -89,10 +89,10 @@ class Dissection:
     @property
     def work(self) -> int:
         """Most numbers of a matrix that a factorisation has at once: the updates of two levels, and the own columns of
-        a batch of fronts; of the patch, which is condensed as another front, all."""
+        a batch of fronts, the factor's part of them and its square; of the patch, condensed as another front, all."""
         sizes = [[(len(g.fronts), g.own.shape[1], g.bound.shape[1]) for g in level.groups] for level in self.levels]
         updates = [sum(t * m**2 for t, _, m in level) for level in sizes]
-        columns = [max(t * (w + m) * w for t, w, m in level) for level in sizes]
+        columns = [max(t * ((w + 2 * m) * w + m**2) for t, w, m in level) for level in sizes]
         p = len(self.patch) ** 2
         return int(9 * max(map(sum, zip([0, *updates], [*updates, p], [*columns, p], strict=True))))
 

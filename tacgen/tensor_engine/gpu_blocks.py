@@ -1,5 +1,5 @@
-"""Inverses of small blocks on a GPU, one program each, by Triton: PyTorch's own take dozens of launches; and products
-of matrices in slots, which PyTorch would copy first.
+"""Inverses of matrices on a GPU, by Triton: a warp inverts 32 rows, and larger ones go in steps of as many, of two
+launches. And products of matrices in slots, which PyTorch would copy first.
 
 In plain operations the inverses are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.inv_ex, of numbers
 of single precision. Imported only where there is a GPU.
@@ -11,8 +11,8 @@ import triton.language as tl
 from torch import Tensor
 
 PRECISION = tl.constexpr("ieee")  # of products, see tl.dot
-LARGEST = 64  # rows of a matrix that one program inverts, and of a tile of a larger one
-STEP = 64  # rows of a larger one that are eliminated at once: 32 or 64
+STEP = 32  # rows of a matrix that are eliminated at once, and that one program inverts
+TILE = 64  # rows and columns of a product that a program computes
 ALONE = {"num_warps": 1, "num_stages": 1}  # one warp, and no loads before their turn: it reads what it wrote
 SIZES = ("at", "n", "block", "row", "length")  # no code of its own for each value that they may have
 
@@ -58,73 +58,27 @@ def _eliminated(M, SIZE: tl.constexpr):
     return tl.where(j <= i, M, 0.0), bad
 
 
-@triton.jit
-def _block(first, n, row, room, other, length, SIZE: tl.constexpr, HALVES: tl.constexpr):
-    """L^-1 of a block of n rows at `first`, up to SIZE or with HALVES twice as many, of which the lower triangle is
-    read: its squares on the diagonal and the one below, and the first leading minor that is not positive. At `room` and
-    `other`, in rows of this length, there is room for squares."""
-    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    if HALVES:
-        X = tl.zeros((SIZE, SIZE), tl.float32)
-        Y, low, bad, source, stride = X, X, 0, first, row
-        for half in range(2):  # one code for both
-            X = Y
-            Y, minor = _eliminated(_symmetric(source, n - half * SIZE, stride, SIZE), SIZE)
-            bad = tl.where((bad == 0) & (minor > 0), minor + half * SIZE, bad)
-            tl.debug_barrier()
-            if half == 0:
-                L = tl.load(first + (i + SIZE) * row + j, mask=i + SIZE < n, other=0.0)
-                L = tl.dot(L, tl.trans(Y), input_precision=PRECISION)
-                M = tl.load(first + (i + SIZE) * row + j + SIZE, mask=(i + SIZE < n) & (j <= i), other=0.0)
-                M -= tl.dot(L, tl.trans(L), input_precision=PRECISION)
-                tl.store(room + i * length + j, M, mask=(i + SIZE < n) & (j <= i))
-                tl.store(other + i * length + j, L, mask=i + SIZE < n)
-                tl.debug_barrier()
-            source, stride = room, length
-        L = tl.load(other + i * length + j, mask=i + SIZE < n, other=0.0)
-        tl.debug_barrier()
-        low = -tl.dot(tl.dot(Y, L, input_precision=PRECISION), X, input_precision=PRECISION)
-    else:
-        X, bad = _eliminated(_symmetric(first, n, row, SIZE), SIZE)
-        Y, low = X, X
-    return X, low, Y, bad
-
-
 @triton.jit(do_not_specialize=SIZES)
-def _lower_inverse(A, info, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
+def _lower_inverse(A, info, n, block, row, SIZE: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
-    X, low, Y, bad = _block(first, n, row, first + SIZE * (row + 1), first + SIZE * row, row, SIZE, HALVES)
+    X, bad = _eliminated(_symmetric(first, n, row, SIZE), SIZE)
     tl.store(first + i * row + j, X, mask=(i < n) & (j < n))
-    if HALVES:
-        tl.store(first + (i + SIZE) * row + j, low, mask=i + SIZE < n)
-        tl.store(first + i * row + j + SIZE, low * 0, mask=j + SIZE < n)
-        tl.store(first + (i + SIZE) * row + j + SIZE, Y, mask=(i + SIZE < n) & (j + SIZE < n))
     tl.store(info + tl.program_id(0), bad)
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr, HALVES: tl.constexpr):
-    """A step of the elimination by blocks: rows of [A | 1] from `at` on, SIZE or with HALVES twice as many, times the
-    inverse factor of their block on the diagonal, into R (b, rows, length). Before `at` A has the transformed unit
-    matrix already."""
-    STEP: tl.constexpr = 2 * SIZE if HALVES else SIZE
+def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr):
+    """A step of the elimination by blocks: rows of [A | 1] from `at` on times the inverse factor of their block on the
+    diagonal, into R (b, SIZE, length). Before `at` A has the transformed unit matrix already."""
     which = tl.program_id(0).to(tl.int64)
     start = A + which * block
     i, j = tl.arange(0, SIZE)[:, None], tl.program_id(1) * SIZE + tl.arange(0, SIZE)[None, :]
-    to = R + which * STEP * length + tl.program_id(1) * SIZE
-    X, low, Y, bad = _block(start + at * (row + 1), n - at, row, to, to + SIZE * length, length, SIZE, HALVES)
-    to += i * length + tl.arange(0, SIZE)[None, :]
-    before, inside = j < at, ((j < at) | (j >= at + STEP)) & (j < n)
-    first = start + tl.where(before, (at + i) * row + j, at + i + j * row)
-    upper = tl.load(first, mask=inside & (at + i < n), other=0.0)
-    upper = tl.where(j == at + i, 1.0, upper)
-    tl.store(to, tl.dot(X, upper, input_precision=PRECISION))
-    if HALVES:
-        lower = tl.load(first + tl.where(before, SIZE * row, SIZE), mask=inside & (at + SIZE + i < n), other=0.0)
-        lower = tl.where(j == at + SIZE + i, 1.0, lower)
-        lower = tl.dot(Y, lower, input_precision=PRECISION) + tl.dot(low, upper, input_precision=PRECISION)
-        tl.store(to + SIZE * length, lower)
+    X, bad = _eliminated(_symmetric(start + at * (row + 1), n - at, row, SIZE), SIZE)
+    inside = ((j < at) | (j >= at + SIZE)) & (j < n) & (at + i < n)
+    rows = tl.load(start + tl.where(j < at, (at + i) * row + j, at + i + j * row), mask=inside, other=0.0)
+    rows = tl.dot(X, tl.where(j == at + i, 1.0, rows), input_precision=PRECISION)
+    tl.store(R + which * SIZE * length + i * length + j, rows)
     if tl.program_id(1) == 0:
         known = tl.load(info + which, mask=at > 0, other=0)
         tl.store(info + which, tl.where((known == 0) & (bad > 0), bad + at, known))
@@ -171,33 +125,44 @@ def _inverted(M, SIZE: tl.constexpr):
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _inverse(A, n, block, row, SIZE: tl.constexpr, HALVES: tl.constexpr):
+def _inverse(A, n, block, row, SIZE: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
-    place = first + i * row + j
-    right, low, last = place + SIZE, place + SIZE * row, place + SIZE * (row + 1)
-    inside = (i + SIZE < n) & (j + SIZE < n)
-    for half in range(2 if HALVES else 1):  # one code for both
-        at = half * SIZE
-        P = _inverted(_loaded(first + at * (row + 1), i, j, n - at, row), SIZE)
-        tl.debug_barrier()
-        tl.store(place + at * (row + 1), P, mask=(at + i < n) & (at + j < n))
-        if HALVES and half == 0:
-            below = tl.dot(tl.load(low, mask=i + SIZE < n, other=0.0), P, input_precision=PRECISION)
-            less = tl.dot(below, tl.load(right, mask=j + SIZE < n, other=0.0), input_precision=PRECISION)
-            tl.store(last, tl.load(last, mask=inside, other=0.0) - less, mask=inside)
-            tl.debug_barrier()
-            tl.store(low, below, mask=i + SIZE < n)
-            tl.debug_barrier()
-    if HALVES:
-        tl.debug_barrier()
-        P, T = tl.load(place), tl.load(last, mask=inside, other=0.0)
-        Q, below = tl.load(right, mask=j + SIZE < n, other=0.0), tl.load(low, mask=i + SIZE < n, other=0.0)
-        tl.debug_barrier()
-        beside, R = tl.dot(P, Q, input_precision=PRECISION), -tl.dot(T, below, input_precision=PRECISION)
-        tl.store(place, P - tl.dot(beside, R, input_precision=PRECISION))
-        tl.store(low, R, mask=i + SIZE < n)
-        tl.store(right, -tl.dot(beside, T, input_precision=PRECISION), mask=j + SIZE < n)
+    tl.store(first + i * row + j, _inverted(_loaded(first, i, j, n, row), SIZE), mask=(i < n) & (j < n))
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _pivots(A, R, C, at, n, block, row, length, SIZE: tl.constexpr):
+    """A step of Gauss-Jordan elimination by blocks: the rows from `at` on times the inverse of their block on the
+    diagonal, which takes its place, into R (b, SIZE, length); and the columns above and below it into C
+    (b, length, SIZE), 0 in its place."""
+    which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE
+    start = A + which * block
+    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    P = _inverted(_loaded(start + at * (row + 1), i, j, n - at, row), SIZE)
+    inside = (at + i < n) & (tile + j < n) & (tile != at)
+    rows = tl.load(start + (at + i) * row + tile + j, mask=inside, other=0.0)
+    rows = tl.dot(P, tl.where((tile == at) & (i == j), 1.0, rows), input_precision=PRECISION)
+    tl.store(R + which * SIZE * length + i * length + tile + j, rows)
+    inside = (tile + i < n) & (at + j < n) & (tile != at)
+    columns = tl.load(start + (tile + i) * row + at + j, mask=inside, other=0.0)
+    tl.store(C + which * SIZE * length + (tile + i) * SIZE + j, columns)
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _others(A, R, C, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.constexpr):
+    """Subtract C times the rows R of a step from all others; and they take their places."""
+    which = tl.program_id(0).to(tl.int64)
+    i = tl.program_id(1) * TILE + tl.arange(0, TILE)[:, None]
+    j = tl.program_id(2) * TILE + tl.arange(0, TILE)[None, :]
+    R, C, each = R + which * STEP * length, C + which * STEP * length, tl.arange(0, STEP)
+    P = tl.load(C + i * STEP + each[None, :], mask=i < n, other=0.0)
+    Q = tl.load(R + each[:, None] * length + j, mask=j < n, other=0.0)
+    place, inside = A + which * block + i * row + j, (i < n) & (j < n)
+    mine, cleared = (i >= at) & (i < at + STEP), (j >= at) & (j < at + STEP)
+    out = tl.load(place, mask=inside & ~mine & ~cleared, other=0.0)
+    out += tl.load(R + (i - at) * length + j, mask=inside & mine, other=0.0)
+    tl.store(place, out - tl.dot(P, Q, input_precision=PRECISION), mask=inside)
 
 
 def lower_inverse(A: Tensor) -> Tensor:
@@ -206,25 +171,32 @@ def lower_inverse(A: Tensor) -> Tensor:
     Returns the leading minors (b,) that are not positive, 0 where a matrix is positive definite.
     """
     n, info = A.shape[-1], torch.empty(len(A), dtype=torch.int32, device=A.device)
-    if n <= LARGEST:
-        size = 16 if n <= 16 else 32
-        _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, **ALONE)
+    if n <= STEP:
+        _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=16 if n <= 16 else 32, **ALONE)
         return info
-    tiles = triton.cdiv(n, 32)
-    R = A.new_empty(len(A), STEP, 32 * tiles)
+    tiles = triton.cdiv(n, STEP)
+    R = A.new_empty(len(A), STEP, STEP * tiles)
     sizes = n, A.stride(0), A.stride(1), R.shape[2]
     for at in range(0, n, STEP):
-        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=32, HALVES=STEP > 32, **ALONE)
-        later = 1 + triton.cdiv(max(n - at - STEP, 0), LARGEST)
-        _later_rows[(len(A), later, triton.cdiv(n, LARGEST))](A, R, at, *sizes, STEP=STEP, TILE=LARGEST)
+        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=STEP, **ALONE)
+        later = 1 + triton.cdiv(max(n - at - STEP, 0), TILE)
+        _later_rows[(len(A), later, triton.cdiv(n, TILE))](A, R, at, *sizes, STEP=STEP, TILE=TILE)
     return info
 
 
 def inverse(A: Tensor) -> None:
-    """Overwrite blocks A (b, n, n), n <= LARGEST, by their inverses, without pivots."""
+    """Overwrite matrices A (b, n, n) by their inverses, without pivots; numbers mean nothing where a block on the
+    diagonal is singular."""
     n = A.shape[-1]
-    size = 16 if n <= 16 else 32
-    _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=size, HALVES=n > size, **ALONE)
+    if n <= STEP:
+        _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=16 if n <= 16 else 32, **ALONE)
+        return
+    tiles = triton.cdiv(n, STEP)
+    R, C = A.new_empty(2, len(A), STEP * STEP * tiles)
+    sizes = n, A.stride(0), A.stride(1), STEP * tiles
+    for at in range(0, n, STEP):
+        _pivots[(len(A), tiles)](A, R, C, at, *sizes, SIZE=STEP, **ALONE)
+        _others[(len(A), triton.cdiv(n, TILE), triton.cdiv(n, TILE))](A, R, C, at, *sizes, STEP=STEP, TILE=TILE)
 
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))

@@ -1,5 +1,6 @@
 """Fronts of many matrices on a GPU, by Triton: a number of a front is read where it comes from, and written once.
 
+Products are PyTorch's: cuBLAS takes less than half of the time of tl.dot for numbers of single precision, on an H100.
 In plain operations these are multifrontal.assembled and multifrontal.eliminate. Imported only where there is a GPU.
 """
 
@@ -12,12 +13,11 @@ import triton.language as tl
 from torch import Tensor
 
 from tacgen.tensor_engine import gpu_blocks
+from tacgen.tensor_engine.multifrontal import squared, times_transposed
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.multifrontal import Fronts, Panel
 
-TILE, DEEP = 64, 32  # rows and columns of a product that a program computes, and columns that it multiplies at once
-PRECISION = "ieee"  # of products, see tl.dot: bf16x6 on tensor cores would round as little, tf32x3 seven times as much
 SIZES = (
     "pairs",
     "size",
@@ -82,17 +82,8 @@ def _assembled(
     row = tl.program_id(1) * ROWS + tl.arange(0, ROWS)
     column = tl.program_id(2) * COLUMNS + tl.arange(0, COLUMNS)
     if WHOLE or (tl.program_id(1) + 1) * ROWS > tl.program_id(2) * COLUMNS:
-        out = _summed(
-            BELOW + scene * size,
-            PLACES + scene * apart,
-            FIRST,
-            LENGTH,
-            front,
-            n,
-            row,
-            column,
-            ARITY,
-        )
+        sources = BELOW + scene * size, PLACES + scene * apart, FIRST, LENGTH
+        out = _summed(*sources, front, n, row, column, ARITY)
         inside = (row < 3 * n)[:, None] & (column < 3 * w)[None, :]
         if ENTRIES:
             i, j = tl.maximum(row[:, None], column[None, :]), tl.minimum(row[:, None], column[None, :])
@@ -104,67 +95,41 @@ def _assembled(
 
 @triton.jit(do_not_specialize=SIZES)
 def _kept(
-    COLUMNS, SLOTS, INVERSE, BELOW, t, w, m, n, length, beyond, slot, row, to_slot, to_row,
-    PRECISION: tl.constexpr, TILE: tl.constexpr, DEEP: tl.constexpr,
+    COLUMNS, L, SLOTS, INVERSE, BELOW, t, w, m, n, length, beyond, slot, row, to_slot, to_row,
+    ROWS: tl.constexpr, COLS: tl.constexpr,
 ):  # fmt: skip
-    """The factors to where they are kept: copies of inverses (w, w) as (n, length), and products (m, w) of the rows
-    below with their transposes as (beyond, length)."""
+    """The factors to where they are kept: inverses (w, w) as (n, length), and the blocks below (m, w) as
+    (beyond, length)."""
     which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
-    first = COLUMNS + which * (w + m) * w
     kept, front = tl.load(SLOTS + which // t), which % t
-    column = tl.program_id(2) * TILE + tl.arange(0, TILE)
-    if tile < tl.cdiv(n, TILE):
-        i = tile * TILE + tl.arange(0, TILE)
-        inside = (i < w)[:, None] & (column < w)[None, :]
-        out = tl.load(first + i[:, None] * w + column[None, :], mask=inside, other=0.0)
-        at = INVERSE + kept * slot + front * n * row + i[:, None] * row + column[None, :]
-        tl.store(at, out, mask=(i < n)[:, None] & (column < length)[None, :])
+    column, first = tl.program_id(2) * COLS + tl.arange(0, COLS)[None, :], tl.cdiv(n, ROWS)
+    if tile < first:
+        i = tile * ROWS + tl.arange(0, ROWS)[:, None]
+        inside = (i < w) & (column < w)
+        out = tl.load(COLUMNS + which * (w + m) * w + i * w + column, mask=inside, other=0.0)
+        at = INVERSE + kept * slot + front * n * row + i * row + column
+        tl.store(at, out, mask=(i < n) & (column < length))
     else:
-        i = (tile - tl.cdiv(n, TILE)) * TILE + tl.arange(0, TILE)
-        out = tl.zeros((TILE, TILE), tl.float32)
-        each = tl.arange(0, DEEP)
-        for k in tl.range(0, tl.minimum((tl.program_id(2) + 1) * TILE, w), DEEP):
-            j = k + each
-            G = tl.load(first + (w + i[:, None]) * w + j[None, :], mask=(i < m)[:, None] & (j < w)[None, :], other=0.0)
-            X = tl.load(
-                first + column[:, None] * w + j[None, :], mask=(column < w)[:, None] & (j < w)[None, :], other=0.0
-            )
-            out = tl.dot(G, tl.trans(X), out, input_precision=PRECISION)
-        at = BELOW + kept * to_slot + front * beyond * to_row + i[:, None] * to_row + column[None, :]
-        tl.store(at, out, mask=(i < beyond)[:, None] & (column < length)[None, :])
+        i = (tile - first) * ROWS + tl.arange(0, ROWS)[:, None]
+        out = tl.load(L + which * m * w + i * w + column, mask=(i < m) & (column < w), other=0.0)
+        at = BELOW + kept * to_slot + front * beyond * to_row + i * to_row + column
+        tl.store(at, out, mask=(i < beyond) & (column < length))
 
 
 @triton.jit(do_not_specialize=SIZES)
 def _left(
-    BELOW, PLACES, FIRST, LENGTH, SLOTS, L, OUT, size, apart, t, w, m, n, length, beyond, slot, row,
-    ARITY: tl.constexpr, WHOLE: tl.constexpr, PRECISION: tl.constexpr, TILE: tl.constexpr, DEEP: tl.constexpr,
+    BELOW, PLACES, FIRST, LENGTH, SQUARES, OUT, size, apart, t, w, m, n, length,
+    ARITY: tl.constexpr, WHOLE: tl.constexpr, ROWS: tl.constexpr, COLS: tl.constexpr,
 ):  # fmt: skip
-    """Updates (m, m) of the other rows: the children's sums less L L^T."""
-    if tl.program_id(2) <= tl.program_id(1):
+    """Updates (m, m) of the other rows: the children's sums less the squares (m, m)."""
+    i, j = tl.program_id(1) * ROWS + tl.arange(0, ROWS), tl.program_id(2) * COLS + tl.arange(0, COLS)
+    if tl.program_id(2) * COLS < (tl.program_id(1) + 1) * ROWS:
         which = tl.program_id(0).to(tl.int64)
         scene, front = which // t, which % t
-        i, j = tl.program_id(1) * TILE + tl.arange(0, TILE), tl.program_id(2) * TILE + tl.arange(0, TILE)
-        first = L + tl.load(SLOTS + scene) * slot + front * beyond * row
-        square = tl.zeros((TILE, TILE), tl.float32)
-        each = tl.arange(0, DEEP)
-        for k in tl.range(0, w, DEEP):
-            c = k + each
-            A = tl.load(first + i[:, None] * row + c[None, :], mask=(i < m)[:, None] & (c < w)[None, :], other=0.0)
-            B = tl.load(first + j[:, None] * row + c[None, :], mask=(j < m)[:, None] & (c < w)[None, :], other=0.0)
-            square = tl.dot(A, tl.trans(B), square, input_precision=PRECISION)
-        out = _summed(
-            BELOW + scene * size,
-            PLACES + scene * apart,
-            FIRST,
-            LENGTH,
-            front,
-            n,
-            w + i,
-            w + j,
-            ARITY,
-        )
-        out -= square
+        sources = BELOW + scene * size, PLACES + scene * apart, FIRST, LENGTH
+        out = _summed(*sources, front, n, w + i, w + j, ARITY)
         lower = (i < m)[:, None] & (j[None, :] <= i[:, None])
+        out -= tl.load(SQUARES + (which * m + i[:, None]) * m + j[None, :], mask=lower, other=0.0)
         to = OUT + scene * length + front * m * m
         tl.store(to + i[:, None] * m + j[None, :], out, mask=lower)
         if WHOLE:
@@ -207,16 +172,16 @@ def eliminate(
     (t, w, m), n, arity = fronts.sizes, fronts.places.shape[3], fronts.first.shape[1]
     batch, columns = len(slots), assembled(fronts, data, below).flatten(0, 1)
     info = gpu_blocks.lower_inverse(columns[:, :w])
-    X, L = panel.inverse, panel.below
-    tiles = triton.cdiv(X.shape[2], TILE) + triton.cdiv(L.shape[2], TILE)
-    _kept[(batch * t, tiles, triton.cdiv(X.shape[3], TILE))](
-        columns, slots, X, L, t, w, m, X.shape[2], X.shape[3], L.shape[2], X.stride(0), X.stride(2), L.stride(0),
-        L.stride(2), PRECISION=PRECISION, TILE=TILE, DEEP=DEEP,
+    kept, X, beyond = times_transposed(columns[:, w:], columns[:, :w]), panel.inverse, panel.below
+    tiles = triton.cdiv(X.shape[2], 32) + triton.cdiv(beyond.shape[2], 32)
+    _kept[(batch * t, tiles, triton.cdiv(X.shape[3], 64))](
+        columns, kept, slots, X, beyond, t, w, m, X.shape[2], X.shape[3], beyond.shape[2], X.stride(0), X.stride(2),
+        beyond.stride(0), beyond.stride(2), ROWS=32, COLS=64,
     )  # fmt: skip
     if m:
         sources, apart = _sources(fronts, below)
-        _left[(batch * t, triton.cdiv(m, TILE), triton.cdiv(m, TILE))](
-            *sources, slots, L, updates, below.shape[1], apart, t, w, m, n, updates.stride(0), L.shape[2], L.stride(0),
-            L.stride(2), ARITY=arity, WHOLE=whole, PRECISION=PRECISION, TILE=TILE, DEEP=DEEP,
+        _left[(batch * t, triton.cdiv(m, 32), triton.cdiv(m, 64))](
+            *sources, squared(kept), updates, below.shape[1], apart, t, w, m, n, updates.stride(0), ARITY=arity,
+            WHOLE=whole, ROWS=32, COLS=64,
         )  # fmt: skip
     return info.view(batch, t)

@@ -17,7 +17,6 @@ from tacgen.tensor_engine.dissection import Dissection, Group, Level
 from tacgen.tensor_engine.products import slot_times
 
 Array = np.ndarray
-BASE = 64  # rows up to which a diagonal block is factorised by LAPACK or by one program; larger ones by halves
 STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
 
 
@@ -211,12 +210,11 @@ def eliminate(
     columns = assembled(fronts, data, below).flatten(0, 1)
     inverse = columns[:, :w].contiguous()
     info = invert_factor(inverse)
-    L = _times_transposed(columns[:, w:], inverse)
+    L = times_transposed(columns[:, w:], inverse)
     for kept, new in ((panel.inverse, inverse), (panel.below, L)):
         rows, length = (a - b for a, b in zip(kept.shape[2:], new.shape[1:], strict=True))
         kept[slots] = torch.nn.functional.pad(new.unflatten(0, (-1, t)), (0, length, 0, rows))
-    left = _summed(fronts, below, w, w + m).flatten(0, 1)
-    _subtract_square(left, L)
+    left = _summed(fronts, below, w, w + m).flatten(0, 1) - squared(L)
     updates.copy_((_mirrored(left) if whole else left).view(updates.shape))
     return info.view(-1, t)
 
@@ -241,55 +239,38 @@ def _summed(fronts: Fronts, below: Tensor, start: int, stop: int) -> Tensor:
     return out
 
 
-def half(n: int) -> int:
-    """Rows of the first of two parts of a matrix of n > BASE rows, of which all blocks but the last will have BASE."""
-    return BASE * round(n / (2 * BASE) + 1e-9)
-
-
 def invert_factor(A: Tensor) -> Tensor:
     """Overwrite symmetric matrices A (b, n, n), of which the lower triangle is read, by L^-1, where A = L L^T.
 
     Returns the leading minor (b,) that is not positive, 0 where the matrix is positive definite; where it is not,
     numbers mean nothing.
     """
-    n = A.shape[-1]
     if fused(A):
         from tacgen.tensor_engine import gpu_blocks
 
         return gpu_blocks.lower_inverse(A)
-    if n <= BASE:
-        L, info = torch.linalg.cholesky_ex(A)
-        A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))
-        return info
-    k = half(n)
-    first, corner, low, last = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
-    info = invert_factor(first)
-    L = low @ first.mT
-    last.baddbmm_(L, L.mT, alpha=-1)
-    info = torch.maximum(info, invert_factor(last))
-    low.baddbmm_(last @ L, first, beta=0, alpha=-1)
-    corner.zero_()
+    L, info = torch.linalg.cholesky_ex(A)
+    A.copy_(torch.linalg.solve_triangular(L, torch.eye(A.shape[-1], dtype=A.dtype, device=A.device), upper=False))
     return info
 
 
-def _times_transposed(A: Tensor, L: Tensor) -> Tensor:
+def times_transposed(A: Tensor, L: Tensor) -> Tensor:
     """A L^T of A (b, m, w) and lower triangles L (b, w, w)."""
-    w = L.shape[-1]
-    if w <= STRIP:
-        return A @ L.mT
-    out = torch.empty_like(A)
+    w, out = L.shape[-1], A.new_empty(A.shape)
     for at in range(0, w, STRIP):
         to = min(at + STRIP, w)
         out[:, :, at:to].baddbmm_(A[:, :, :to], L[:, at:to, :to].mT, beta=0)
     return out
 
 
-def _subtract_square(U: Tensor, L: Tensor) -> None:
-    """U[:, :m] -= L L^T from the diagonal down, of L (b, m, w)."""
+def squared(L: Tensor) -> Tensor:
+    """L L^T from the diagonal down, of L (b, m, w); numbers elsewhere mean nothing."""
     m = L.shape[1]
+    out = L.new_empty(len(L), m, m)
     for at in range(0, m, STRIP):
         to = min(at + STRIP, m)
-        U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
+        out[:, at:, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, beta=0)
+    return out
 
 
 def forward(

@@ -28,7 +28,7 @@ MOST_SLOTS = 1024  # more scenes at once are hardly faster
 # ones, which take 50 each; and of each pool, where no more wait, this part.
 MOST_CALLS, MORE_FRAMES, LAST = 120, 3, 0.06
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
-WORK, TANGENT = 3_000, 15_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+WORK, TANGENT = 3_000, 6_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
 MATRIX = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE = (Phase.contact, Phase.predict)
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
@@ -176,7 +176,7 @@ class Room:
         dense = 3 * c**2 + k**2 + k * c + c * a + a**2
         own = 4.0 * (tree.kept + dense) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
-        each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
+        each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT * cells)
         return cls(max(1, int(0.5 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:

@@ -52,8 +52,7 @@ def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     products as it knows them."""
     if DEVICE == "cuda":
         return
-    for module in (gpu_blocks, gpu_fronts):
-        monkeypatch.setattr(module, "PRECISION", triton.language.constexpr("ieee"))
+    monkeypatch.setattr(gpu_blocks, "PRECISION", triton.language.constexpr("ieee"))
 
     def number(end: object) -> int:
         return int(np.ravel(getattr(getattr(end, "handle", end), "data", end))[0])
@@ -116,8 +115,6 @@ def test_inverses_of_gpu_blocks(size: int) -> None:
     assert gpu_blocks.lower_inverse(block).tolist() == [0, 0, 0]
     assert close(block, torch.linalg.inv(torch.linalg.cholesky(A)), 2e-6)
     assert float(around[:, :2].abs().sum() + around[:, :, 0].abs().sum()) == 0.0
-    if size > gpu_blocks.LARGEST:
-        return
     inverse = B.clone().to(DEVICE)
     gpu_blocks.inverse(inverse)
     assert close(inverse, torch.linalg.inv(B), 2e-5)
@@ -219,7 +216,7 @@ def test_launches_of_a_factor_and_of_substitutions(unlaunched: tuple[Launches, C
         with counted:
             work()
         counts.append(counted.count)
-    assert [found <= most for found, most in zip(counts, (101, 28, 30), strict=True)] == [True] * 3, counts
+    assert [found <= most for found, most in zip(counts, (173, 28, 30), strict=True)] == [True] * 3, counts
 
 
 def test_memory_of_a_factor(unlaunched: tuple[Launches, Condensed], monkeypatch: pytest.MonkeyPatch) -> None:
