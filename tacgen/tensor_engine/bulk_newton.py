@@ -20,7 +20,7 @@ from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Course, PartOfStep, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
-from tacgen.tensor_engine.indices import gathered, listed
+from tacgen.tensor_engine.indices import gathered, index_of, listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 
 ENDS = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
@@ -109,37 +109,50 @@ def contact(b: Batch, s: Tensor) -> list[Outcome]:
         reduce(b, b.slots(some))
         for row in some:
             courses[row].part_of_step = PartOfStep.COUPLED
-    for some, symmetric in ((_ready(b, at[PartOfStep.COUPLED]), False), (at[PartOfStep.SYMMETRIC], True)):
-        for row, status in zip(some, _stepped(b, b.slots(some), symmetric) if some else (), strict=True):
-            outcomes[row] = ENDS.get(status, Outcome.ended)
-            courses[row].part_of_step = PartOfStep.SYMMETRIC if status == SEARCHING else PartOfStep.COUPLED
+    ready = {row: courses[row].reduced == courses[row].inner_damping for row in at[PartOfStep.COUPLED]}
+    if some := [row for row in ready if not ready[row]]:
+        _begun(b, some)
+    for some, symmetric in (([row for row in ready if ready[row]], False), (at[PartOfStep.SYMMETRIC], True)):
+        for row, status in zip(some, _stepped(b, some, symmetric) if some else (), strict=True):
+            if status is not None:
+                outcomes[row] = ENDS.get(status, Outcome.ended)
+                courses[row].part_of_step = PartOfStep.SYMMETRIC if status == SEARCHING else PartOfStep.COUPLED
     return list(outcomes.values())
 
 
-def _ready(b: Batch, rows: list[int]) -> list[int]:
-    """Rows of scenes whose bulk is reduced to unknowns among which are all on which contact acts;
-    the others will be reduced."""
-    if not rows:
-        return []
-    s, valid = b.slots(rows), [float(b.courses[row].reduced == b.courses[row].inner_damping) for row in rows]
+def _begun(b: Batch, rows: list[int]) -> None:
+    """The bulk of scenes without a reduction will be reduced, to the unknowns on which contact acts."""
+    s = b.slots(rows)
     sizes = b.sizes(s)
-    acted, count = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), s, valid)
-    for row, stale, many in zip(rows, acted.tolist(), count.tolist(), strict=True):
-        if stale:
-            b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, many
-    return [row for row in rows if b.courses[row].part_of_step is PartOfStep.COUPLED]
+    _, count = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), s, [0.0] * len(rows))
+    for row, many in zip(rows, count.tolist(), strict=True):
+        b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, many
 
 
-def _stepped(b: Batch, s: Tensor, symmetric: bool) -> list[int]:
-    """The contact after a coupled or a symmetric step; how each scene's stands."""
+def _stepped(b: Batch, rows: list[int], symmetric: bool) -> list[int | None]:
+    """The contact after a coupled or a symmetric step; how each scene's stands. None: contact acts on other unknowns
+    too, so that the coupled step is none, and the bulk will be reduced again."""
+    s = b.slots(rows)
     sizes, damped = b.sizes(s), damping(b, s)
     key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), symmetric), partial(_contact, b, sizes, symmetric)
-    x, offset, steps, length, drift, gap, status = b.replays(key, work, s, *damped)
-    b.t.c_x[s, : sizes.nodes] = x
-    b.t.put(
-        s, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
-    )  # fmt: skip
-    out: list[int] = status.tolist()
+    *after, status, figures = b.replays(key, work, s, *damped)
+    told, good = figures.tolist(), list[int]()
+    out: list[int | None] = [None] * len(rows)
+    for k, (row, (how, stale, many)) in enumerate(zip(rows, told, strict=True)):
+        if stale:
+            b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, many
+        else:
+            out[k] = how
+            good.append(k)
+    if len(good) < len(rows):
+        some = index_of(good, s.device)
+        s, after, status = b.slots([rows[k] for k in good]), [part[some] for part in after], status[some]
+    if good:
+        x, offset, steps, length, drift, gap = after
+        b.t.c_x[s, : sizes.nodes] = x
+        b.t.put(
+            s, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
+        )  # fmt: skip
     return out
 
 
@@ -150,19 +163,22 @@ def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
     return Iterates(x, b.near(s, offset, sizes.nodes), *rest)
 
 
-def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
+def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor, now: Iterates | None = None) -> tuple[Tensor, ...]:
     """As condensation.acted, for the forces at the iterates."""
-    now = _iterates(b, sizes, s)
+    now = now or _iterates(b, sizes, s)
     return acted(b, sizes, s, now.contact, shrunk(now)[0].evaluate(now.x).N, valid)
 
 
 def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
-    """The contact's tensors after a step, in the order of contact_newton.Iterates."""
+    """The contact's tensors after a step, in the order of contact_newton.Iterates, the last of them (s, 3) with what
+    `_acted` says of a coupled step."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
-    small = b.options.step_tol * now.contact.dhat
-    after = contact_newton.step(bulk, now, reach, small, edge, b.options.max_contact, symmetric)
-    return after.x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
+    after = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
+    none = torch.zeros_like(now.steps)
+    stale, count = (none, none) if symmetric else _acted(b, sizes, s, torch.ones_like(reach), now)
+    told = torch.stack([after.status, stale.long(), count], 1)
+    return after.x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status, told
 
 
 def damp(b: Batch, s: Tensor) -> list[Outcome]:
