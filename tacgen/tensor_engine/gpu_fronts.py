@@ -12,8 +12,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from tacgen.tensor_engine import gpu_blocks
-from tacgen.tensor_engine.multifrontal import squared, times_transposed
+from tacgen.tensor_engine.multifrontal import invert_factor, squared, times_transposed
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.multifrontal import Fronts, Panel
@@ -171,7 +170,7 @@ def eliminate(
     """multifrontal.eliminate."""
     (t, w, m), n, arity = fronts.sizes, fronts.places.shape[3], fronts.first.shape[1]
     batch, columns = len(slots), assembled(fronts, data, below).flatten(0, 1)
-    info = gpu_blocks.lower_inverse(columns[:, :w])
+    info = invert_factor(columns[:, :w])
     kept, X, beyond = times_transposed(columns[:, w:], columns[:, :w]), panel.inverse, panel.below
     tiles = triton.cdiv(X.shape[2], 32) + triton.cdiv(beyond.shape[2], 32)
     _kept[(batch * t, tiles, triton.cdiv(X.shape[3], 64))](

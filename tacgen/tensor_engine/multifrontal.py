@@ -17,6 +17,7 @@ from tacgen.tensor_engine.dissection import Dissection, Group, Level
 from tacgen.tensor_engine.products import slot_times
 
 Array = np.ndarray
+BASE = 320  # rows up to which a matrix is inverted by kernels of its own on a GPU, or by LAPACK; larger ones by halves
 STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
 
 
@@ -239,19 +240,35 @@ def _summed(fronts: Fronts, below: Tensor, start: int, stop: int) -> Tensor:
     return out
 
 
+def half(n: int) -> int:
+    """Rows of the first of two parts of a matrix of n rows, a multiple of those that kernels eliminate at once."""
+    return 32 * round(n / 64 + 1e-9)
+
+
 def invert_factor(A: Tensor) -> Tensor:
     """Overwrite symmetric matrices A (b, n, n), of which the lower triangle is read, by L^-1, where A = L L^T.
 
     Returns the leading minor (b,) that is not positive, 0 where the matrix is positive definite; where it is not,
     numbers mean nothing.
     """
-    if fused(A):
+    n = A.shape[-1]
+    if n <= BASE and fused(A):
         from tacgen.tensor_engine import gpu_blocks
 
         return gpu_blocks.lower_inverse(A)
-    L, info = torch.linalg.cholesky_ex(A)
-    A.copy_(torch.linalg.solve_triangular(L, torch.eye(A.shape[-1], dtype=A.dtype, device=A.device), upper=False))
-    return info
+    if n <= BASE:
+        L, info = torch.linalg.cholesky_ex(A)
+        A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))
+        return info
+    k = half(n)
+    first, corner, low, last = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
+    info = invert_factor(first)
+    L = times_transposed(low, first)
+    last.baddbmm_(L, L.mT, alpha=-1)
+    after = invert_factor(last)
+    low.baddbmm_(last @ L, first, beta=0, alpha=-1)
+    corner.zero_()
+    return torch.where((info == 0) & (after > 0), after + k, info)
 
 
 def times_transposed(A: Tensor, L: Tensor) -> Tensor:

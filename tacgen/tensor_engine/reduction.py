@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.multifrontal import invert_factor
+from tacgen.tensor_engine.multifrontal import BASE, half, invert_factor
 from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.replay import rare
 
@@ -98,14 +98,26 @@ def _exact(b: Tensor, product: Tensor) -> Tensor:
 
 
 def invert(A: Tensor) -> None:
-    """Overwrite matrices A (s, n, n) by their inverses, on a GPU without pivots, much faster than LU; numbers mean
-    nothing where one is singular."""
-    if A.is_cuda and A.dtype == torch.float32:
+    """Overwrite matrices A (s, n, n) by their inverses, in products of blocks without pivots, which a GPU does much
+    faster than LU; numbers mean nothing where a block is singular."""
+    n = A.shape[-1]
+    if n <= BASE and A.is_cuda and A.dtype == torch.float32:
         from tacgen.tensor_engine import gpu_blocks
 
-        gpu_blocks.inverse(A)
-    else:
+        return gpu_blocks.inverse(A)
+    if n <= BASE:
         A.copy_(torch.linalg.inv_ex(A)[0])
+        return None
+    k = half(n)
+    P, Q, R, T = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
+    invert(P)
+    below, beside = R @ P, P @ Q
+    T.baddbmm_(below, Q, alpha=-1)
+    invert(T)
+    R.baddbmm_(T, below, beta=0, alpha=-1)
+    P.baddbmm_(beside, R, alpha=-1)
+    Q.baddbmm_(beside, T, beta=0, alpha=-1)
+    return None
 
 
 def _padded(b: Tensor) -> Tensor:

@@ -64,7 +64,7 @@ def test_systems_that_have_no_good_inverse_without_pivots_are_solved_with_them()
         assert (K[k] @ x[k]).numpy() == pytest.approx(b[k].numpy(), abs=1e-3)
 
 
-@pytest.mark.parametrize("size", [1, 48, 97, 200])
+@pytest.mark.parametrize("size", [1, 97, 400, 700])
 def test_the_inverse_by_blocks(size: int) -> None:
     r = np.random.default_rng(size)
     A = torch.tensor(r.normal(size=(3, size, size)) + 2 * np.sqrt(size) * np.eye(size))
