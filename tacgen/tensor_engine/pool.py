@@ -177,7 +177,7 @@ class Room:
         own = 4.0 * (tree.kept + dense) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT * cells)
-        return cls(max(1, int(0.5 * memory / own)), each, 0.15 * memory)
+        return cls(max(1, int(0.45 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:
         """How many of so many scenes that wait go into one call."""
