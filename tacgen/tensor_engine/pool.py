@@ -149,8 +149,17 @@ def _solved(
     use: scheduler.Use | None,
 ) -> Iterator[tuple[int, Solved]]:
     """Numbers of scenes of one pattern and their solutions."""
-    first = list(islice(ready, count))
-    pool = ScenePool(first, tree, device, dtype)
+    first, pool = list(islice(ready, count)), None
+    count = len(first)
+    while pool is None:
+        try:
+            pool = ScenePool(first[:count], tree, device, dtype)
+        except torch.OutOfMemoryError:  # `room` is an estimate
+            if count == 1:
+                raise
+            count //= 2
+        if pool is None:  # what the error has held is free by now
+            devices.cleared(device)
     for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use, int(LAST * pool.count)):
         yield scene.number, found
 

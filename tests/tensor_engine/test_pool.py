@@ -101,6 +101,26 @@ def test_the_last_scenes_of_a_pool_are_left_to_the_cpu_engine(monkeypatch):
     assert sorted(str(each.why) for each in found.values()) == ["None", "the last scenes of a batch"]
 
 
+@pytest.mark.parametrize("most", [1, 0])
+def test_a_pool_for_which_there_is_no_memory_has_half_as_many_slots(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    made, of = [], pool.Batch.of
+
+    def limited(problems: list, *args: object) -> pool.Batch:
+        made.append(len(problems))
+        if len(problems) > most:
+            raise torch.OutOfMemoryError("full")
+        return of(problems, *args)
+
+    monkeypatch.setattr(pool.Batch, "of", limited)
+    if most:
+        assert {number: each.why for number, each in pool.solved(SCENES[:3])} == {0: None, 1: None, 2: None}
+        assert made == [3, 1, 1, 1]  # two of them are refilled
+    else:
+        with pytest.raises(torch.OutOfMemoryError):
+            list(pool.solved(SCENES[:3]))
+        assert made == [3, 1]
+
+
 def test_less_memory_has_room_for_fewer_scenes():
     tree = dissected(grids.GridPattern((18, 18, 5)))
     large, small = pool.Room.of(tree, 6e9), pool.Room.of(tree, 1e6)
