@@ -163,20 +163,20 @@ def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
     return Iterates(x, b.near(s, offset, sizes.nodes), *rest)
 
 
-def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor, now: Iterates | None = None) -> tuple[Tensor, ...]:
+def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
     """As condensation.acted, for the forces at the iterates."""
-    now = now or _iterates(b, sizes, s)
+    now = _iterates(b, sizes, s)
     return acted(b, sizes, s, now.contact, shrunk(now)[0].evaluate(now.x).N, valid)
 
 
 def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
-    """The contact's tensors after a step, in the order of contact_newton.Iterates, the last of them (s, 3) with what
-    `_acted` says of a coupled step."""
+    """The contact's tensors after a step, in the order of contact_newton.Iterates, and last (s, 3): how it stands, and
+    what condensation.acted says of a coupled step."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
-    after = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
+    after, N = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
     none = torch.zeros_like(now.steps)
-    stale, count = (none, none) if symmetric else _acted(b, sizes, s, torch.ones_like(reach), now)
+    stale, count = (none, none) if symmetric else acted(b, sizes, s, now.contact, N, torch.ones_like(reach))
     told = torch.stack([after.status, stale.long(), count], 1)
     return after.x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status, told
 

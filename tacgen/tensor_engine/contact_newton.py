@@ -95,9 +95,9 @@ def shrunk(now: Iterates) -> tuple[Contacts, Tensor]:
 
 def step(
     bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int, symmetric: bool
-) -> Iterates:
+) -> tuple[Iterates, Tensor]:
     """One step of each scene towards the equilibrium of bulk, barrier and friction, with indenters shrunk by the mean
-    gap; see mechanics.contact_newton.contact_step.
+    gap; see mechanics.contact_newton.contact_step. And the normal forces (s, f, q) [N] before it.
 
     bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm]. symmetric: whether these are scenes that take
     a part of the symmetric step. Otherwise those of whose coupled step no part is good enough, which are few, stay as
@@ -118,7 +118,8 @@ def step(
         fraction = torch.ones_like(reach)
     there = x + fraction[:, None, None] * p
     felt = contact.evaluate(there)
-    return ended(now, contact, drift, bulk.start, there, fraction, figures, felt, xtol, radius, max_steps, symmetric)
+    parts = contact, drift, bulk.start, there, fraction, figures, felt, xtol, radius, max_steps, symmetric
+    return ended(now, *parts), forces.N
 
 
 class TriedStep(NamedTuple):

@@ -20,43 +20,38 @@ def _odd(numbers: list[int]) -> tuple[int, ...]:
 
 
 @triton.jit
-def _rows(SLOTS, sources, results, widths, strides, SIZE: tl.constexpr):
+def _moved(SLOTS, sources, results, widths, strides, INTO: tl.constexpr, SIZE: tl.constexpr):
+    """Rows of sources at slots to results, or rows of sources INTO results at slots."""
     scene = tl.program_id(0).to(tl.int64)
     slot, k = tl.load(SLOTS + scene), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     for i in tl.static_range(len(sources)):
         width = widths[i] // 16
+        apart, close = slot * (strides[i] // 16) + k, scene * width + k
         inside = k < width
-        value = tl.load(sources[i] + slot * (strides[i] // 16) + k, mask=inside)
-        tl.store(results[i] + scene * width + k, value, mask=inside)
+        if INTO:
+            tl.store(results[i] + apart, tl.load(sources[i] + close, mask=inside), mask=inside)
+        else:
+            tl.store(results[i] + close, tl.load(sources[i] + apart, mask=inside), mask=inside)
 
 
 def rows(slots: Tensor, parts: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     """Rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous."""
     out = tuple(part.new_empty(len(slots), *part.shape[1:]) for part in parts)
-    widths = [part[0].numel() for part in parts]
-    if max(widths):
-        grid = len(slots), triton.cdiv(max(widths), LANES)
-        _rows[grid](slots, parts, out, _odd(widths), _odd([part.stride(0) for part in parts]), SIZE=LANES)
+    _move(slots, parts, out, False)
     return out
-
-
-@triton.jit
-def _put(SLOTS, results, values, widths, strides, SIZE: tl.constexpr):
-    scene = tl.program_id(0).to(tl.int64)
-    slot, k = tl.load(SLOTS + scene), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
-    for i in tl.static_range(len(values)):
-        width = widths[i] // 16
-        inside = k < width
-        value = tl.load(values[i] + scene * width + k, mask=inside)
-        tl.store(results[i] + slot * (strides[i] // 16) + k, value, mask=inside)
 
 
 def put(slots: Tensor, results: tuple[Tensor, ...], values: tuple[Tensor, ...]) -> None:
     """Write values (s, ...) to rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous."""
-    values = tuple(value.contiguous() for value in values)
-    widths = [value[0].numel() for value in values]
-    grid = len(slots), triton.cdiv(max(widths), LANES)
-    _put[grid](slots, results, values, _odd(widths), _odd([part.stride(0) for part in results]), SIZE=LANES)
+    _move(slots, tuple(value.contiguous() for value in values), results, True)
+
+
+def _move(slots: Tensor, sources: tuple[Tensor, ...], results: tuple[Tensor, ...], into: bool) -> None:
+    kept, close = (results, sources) if into else (sources, results)
+    widths, strides = [part.shape[1:].numel() for part in close], [part.stride(0) for part in kept]
+    if max(widths):
+        grid = len(slots), triton.cdiv(max(widths), LANES)
+        _moved[grid](slots, sources, results, _odd(widths), _odd(strides), INTO=into, SIZE=LANES)
 
 
 @triton.jit(do_not_specialize=COUNTS)

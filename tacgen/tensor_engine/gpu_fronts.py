@@ -17,22 +17,8 @@ from tacgen.tensor_engine.multifrontal import invert_factor, squared, times_tran
 if TYPE_CHECKING:
     from tacgen.tensor_engine.multifrontal import Fronts, Panel
 
-SIZES = (
-    "pairs",
-    "size",
-    "numbers",
-    "apart",
-    "t",
-    "w",
-    "m",
-    "n",
-    "length",
-    "beyond",
-    "slot",
-    "row",
-    "to_slot",
-    "to_row",
-)
+NUMBERS = ("pairs", "size", "numbers", "apart", "t", "w", "m", "n")  # no code of its own for each value of these
+SIZES = (*NUMBERS, "length", "beyond", "slot", "row", "to_slot", "to_row")
 
 
 @triton.jit(do_not_specialize=SIZES)

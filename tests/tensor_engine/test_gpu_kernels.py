@@ -48,11 +48,9 @@ DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
 @pytest.fixture(autouse=True)
 def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices; and
-    products as it knows them."""
+    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices."""
     if DEVICE == "cuda":
         return
-    monkeypatch.setattr(gpu_blocks, "PRECISION", triton.language.constexpr("ieee"))
 
     def number(end: object) -> int:
         return int(np.ravel(getattr(getattr(end, "handle", end), "data", end))[0])
