@@ -140,11 +140,12 @@ def _pivots(A, R, C, at, n, block, row, length, SIZE: tl.constexpr):
     start = A + which * block
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     P = _inverted(_loaded(start + at * (row + 1), i, j, n - at, row), SIZE)
-    inside = (at + i < n) & (tile + j < n) & (tile != at)
+    limit = tl.where(tile == at, 0, n)  # nothing is read where the block itself stands
+    inside = (at + i < n) & (tile + j < limit)
     rows = tl.load(start + (at + i) * row + tile + j, mask=inside, other=0.0)
     rows = tl.dot(P, tl.where((tile == at) & (i == j), 1.0, rows), input_precision=PRECISION)
     tl.store(R + which * SIZE * length + i * length + tile + j, rows)
-    inside = (tile + i < n) & (at + j < n) & (tile != at)
+    inside = (tile + i < limit) & (at + j < n)
     columns = tl.load(start + (tile + i) * row + at + j, mask=inside, other=0.0)
     tl.store(C + which * SIZE * length + (tile + i) * SIZE + j, columns)
 
