@@ -1,11 +1,11 @@
 """Frames a second of the batch engine on ordinary scenes, beside the CPU engine on all cores.
 
-    python -m benchmarks.tensor_frames [--draws 0 256] [--slots 512] [--workers 16] [--compare 32] [--seconds 300]
+    python -m benchmarks.tensor_frames [--draws 0 256] [--quality draft] [--workers 16] [--compare 32] [--seconds 300]
 
-Scenes of benchmarks/draws.py at draft are solved in refilled slots, pattern after pattern, by one process or by several
+Scenes of benchmarks/draws.py are solved in refilled slots, pattern after pattern, by one process or by several
 that share the GPU; the CPU engine solves those that it leaves, meanwhile. Then some are solved by the CPU engine alone,
 a process a core. Prints frames a second of both, what each kernel takes, how many scenes share a call, how far forces
-differ, and peak memory.
+differ, peak memory, and what the GPU's board draws.
 """
 
 import argparse
@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import takewhile
 from multiprocessing.pool import AsyncResult
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from benchmarks import results_page
+from benchmarks import gpu_board, results_page
 from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
 from tacgen import mechanics
@@ -51,8 +52,9 @@ def main() -> None:
     os.environ.update(results_page.one_thread())  # of the other processes too
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")  # calls have many sizes
     draws = [k for k in range(told.draws[0], sum(told.draws)) if drawn(k).sensor in (told.sensors or [drawn(k).sensor])]
+    plan = partial(planned, quality=told.quality)
     with multiprocessing.get_context("spawn").Pool(told.workers) as others:
-        made = {k: one for k, one in zip(draws, others.imap(planned, draws), strict=True) if one is not None}
+        made = {k: one for k, one in zip(draws, others.imap(plan, draws), strict=True) if one is not None}
         print(f"{len(made)} scenes, {len(draws) - len(made)} refused", flush=True)
         keys, parts = list(made), list[list[Planned]]()
         for first in range(0, len(keys), CHUNK):  # as `run` does
@@ -60,10 +62,13 @@ def main() -> None:
             parts += [[chunk[k] for k in part] for part in divided(chunk, told.processes)]
         with ProcessPoolExecutor(told.processes, mp_context=multiprocessing.get_context("spawn")) as solving:
             start, found, rest = time.time(), list[Report](), list[AsyncResult[Alone]]()
-            for report in solving.map(batched, parts, [told] * len(parts)):
-                found.append(report)
-                rest += [others.apply_async(alone, (draw,)) for draw in report.left]
+            with gpu_board.watched() as board:
+                for report in solving.map(batched, parts, [told] * len(parts)):
+                    found.append(report)
+                    left = [] if told.leave else report.left
+                    rest += [others.apply_async(alone, (draw, told.quality)) for draw in left]
         forces = merged(found)
+        print(f"  {board}", flush=True)
         frames = [len(one.get().forces) for one in rest]  # as in `run`, by the CPU engine meanwhile
         print(f"with {sum(frames)} frames of {len(rest)} scenes by the CPU engine: {time.time() - start:.1f} s in all")
         if told.compare:
@@ -74,10 +79,12 @@ def arguments() -> argparse.Namespace:
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--draws", type=int, nargs=2, default=(0, 256), metavar=("FIRST", "COUNT"))
     ask.add_argument("--sensors", nargs="*", help="only draws of these")
+    ask.add_argument("--quality", default="draft")
     ask.add_argument("--slots", type=int, default=pool.MOST_SLOTS)
     ask.add_argument("--processes", type=int, default=1, help="that share the GPU; start nvidia-cuda-mps-control first")
     ask.add_argument("--workers", type=int, default=multiprocessing.cpu_count(), help="processes, one a core")
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
+    ask.add_argument("--leave", action="store_true", help="scenes that the batch engine does not solve")
     ask.add_argument("--seconds", type=float, default=300.0, help="each process stops after so long")
     ask.add_argument("--warm", type=int, default=3, help="scenes to solve before the time counts")
     ask.add_argument("--dtype", choices=("float32", "float64"), default="float32", help="of the factors")
@@ -85,17 +92,19 @@ def arguments() -> argparse.Namespace:
     return ask.parse_args()
 
 
-def planned(index: int) -> Planned | None:
+def planned(index: int, quality: str = "draft") -> Planned | None:
     """The scene of a draw; None where it is refused."""
-    scene = scene_of(index)
+    scene = scene_of(index, quality)
     return None if scene is None else Planned.of((index, scene))
 
 
-def scene_of(index: int) -> Scene | None:
-    """The scene of a draw at draft; None where it is refused."""
+def scene_of(index: int, quality: str) -> Scene | None:
+    """The scene of a draw; None where it is refused."""
     draw = drawn(index)
     try:
-        return scene_of_row.build(row_of(("outputs=[force]", f"sensor={draw.sensor}", *draw.sets, "quality=draft")))
+        return scene_of_row.build(
+            row_of(("outputs=[force]", f"sensor={draw.sensor}", *draw.sets, f"quality={quality}"))
+        )
     except UserError:
         return None
 
@@ -211,9 +220,9 @@ class Alone(NamedTuple):
     first: bool
 
 
-def alone(index: int) -> Alone:
+def alone(index: int, quality: str) -> Alone:
     """A scene by the CPU engine, up to where it fails."""
-    scene, states, start, first = scene_of(index), list[State](), time.process_time(), not BEGUN
+    scene, states, start, first = scene_of(index, quality), list[State](), time.process_time(), not BEGUN
     BEGUN.append(index)
     assert scene is not None
     with suppress(mechanics.NotConverged):
@@ -230,7 +239,7 @@ def compare(
 ) -> None:
     """Solve draws by the CPU engine; prints its speed and how far the forces of both differ."""
     start, ended, off = time.perf_counter(), list[Alone](), dict[int, float]()
-    for one in mapped(alone, draws):
+    for one in mapped(partial(alone, quality=told.quality), draws):
         ended.append(one)
         many = forces.get(one.draw, np.zeros((0, 3)))
         n = min(len(many), one.stable)
