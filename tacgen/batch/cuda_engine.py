@@ -265,10 +265,11 @@ def _solve(rows: Mapping[int, Row], plans: Sequence["Planned"], folder: Path, de
     """Write a solution for each of some rows, or why there is none; `share`: processes that share the device."""
     from tacgen.tensor_engine.device import chosen, named
 
+    memory = chosen(device, MEMORY / share)
     versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
     by = f"batch engine on {named(device)}, {versions}"
     try:
-        for k, solved, heights in _solutions(rows, plans, device, chosen(device, MEMORY / share)):
+        for k, solved, heights in _solutions(rows, plans, device, memory):
             solution = SolvedScene(by, solved.states, heights=heights)
             if solved.why is not None:
                 solution = SolvedScene(by, why=f"solved by the CPU engine: {solved.why}")

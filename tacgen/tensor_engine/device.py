@@ -1,5 +1,6 @@
 """The devices that the batch engine runs on."""
 
+import ctypes
 import gc
 
 import torch
@@ -8,6 +9,7 @@ CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
 # part of a process's memory in use beyond which its allocator gives back what it keeps for later, since a recording can
 # not take that; and beyond which there is none for further recordings
 TIGHT, FULL = 0.6, 0.85
+BLOCKING_SYNC = 4  # CU_CTX_SCHED_BLOCKING_SYNC of CUDA's driver
 _part = 1.0  # of a GPU's memory, that this process may use
 
 
@@ -27,9 +29,22 @@ def chosen(device: str, part: float = 1.0) -> float:
         return part * CPU_MEMORY
     global _part
     _part = part
+    _wait_asleep(torch.device(device).index)
     torch.cuda.set_device(device)
     torch.cuda.set_per_process_memory_fraction(part)
     return part * float(torch.cuda.mem_get_info()[1])
+
+
+def _wait_asleep(number: int) -> None:
+    """Have this process sleep while it waits for a GPU, which it has not used yet. PyTorch lets it ask again and again
+    (its issue 28224), and so takes a core from those that label and draw."""
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:  # another system's name: it works as well, for more of a core
+        return
+    handle = ctypes.c_int()
+    if driver.cuInit(0) == 0 and driver.cuDeviceGet(ctypes.byref(handle), number) == 0:
+        driver.cuDevicePrimaryCtxSetFlags_v2(handle, BLOCKING_SYNC)
 
 
 def full(device: torch.device) -> bool:

@@ -1,0 +1,52 @@
+"""How the batch engine takes a device."""
+
+import ctypes
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tacgen.tensor_engine import device as devices
+
+
+class Driver:
+    """CUDA's driver as far as it is called, of a machine with three GPUs, whose handles are not their numbers."""
+
+    def __init__(self, calls: list[Any]) -> None:
+        self.calls = calls
+
+    def cuInit(self, flags: int) -> int:
+        return 0
+
+    def cuDeviceGet(self, handle: Any, number: int) -> int:
+        handle._obj.value = 10 + number
+        return 0 if number < 3 else 101
+
+    def cuDevicePrimaryCtxSetFlags_v2(self, handle: Any, flags: int) -> int:
+        self.calls.append((handle.value, flags))
+        return 0
+
+
+def test_a_process_sleeps_while_it_waits_for_its_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[Any] = []
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: Driver(calls) if name == "libcuda.so.1" else None)
+    monkeypatch.setattr(torch.cuda, "set_device", lambda device: calls.append(device))
+    monkeypatch.setattr(torch.cuda, "set_per_process_memory_fraction", lambda part: calls.append(part))
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (5, 8))
+    monkeypatch.setattr(devices, "_part", 1.0)
+    assert devices.chosen("cuda:2", 0.5) == 4.0
+    assert calls == [(12, 4), "cuda:2", 0.5]  # the driver first: flags count for a GPU that was not used yet
+    calls.clear()
+    devices._wait_asleep(7)  # there is none
+    assert calls == []
+    devices.chosen("cpu", 0.5)
+    assert calls == []
+
+
+def test_without_the_driver_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(name: str) -> Any:
+        raise OSError(name)
+
+    monkeypatch.setattr(ctypes, "CDLL", none)
+    devices._wait_asleep(0)
