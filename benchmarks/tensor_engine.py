@@ -214,11 +214,13 @@ def batched(solver: Multifrontal, matrix: Matrix, batch: int, count: int, end: f
     rates.of("forward", lambda: kept.forward(slots, g, nodes.shape[1]))
     rates.of("back", lambda: kept.expand(slots, load, y))
     S = kept.schur(elements, nodes, count)[1]
-    active = torch.arange(S.shape[1], device=device).expand(batch, -1) < S.shape[1] // 2
-    contact = reduced(S, active, S.shape[1] // 2)[0]
-    rates.of("contact reduced to half", lambda: reduced(S, active, S.shape[1] // 2))
-    rates.of(f"LU of {contact.K.shape[-1]}", lambda: contact.solve(contact.K, load, False))
-    rates.of("Cholesky", lambda: contact.solve(contact.K, load, True))
+    half = S.shape[1] // 2
+    active = torch.arange(S.shape[1], device=device).expand(batch, -1) < half
+    parts = S, active, torch.ones_like(active), half, S.shape[1] - half
+    contact = reduced(*parts)[0]
+    rates.of("contact reduced to half", lambda: reduced(*parts))
+    rates.of(f"coupled step of {half}", lambda: contact.solve(contact.K, load, False))
+    rates.of("symmetric", lambda: contact.solve(contact.K, load, True))
     memory = f", {torch.cuda.max_memory_allocated() / 1e9:.1f} GB" if device.type == "cuda" else ""
     said = ", ".join(f"{each:.0e}" for each in residuals(kept, S, elements, slots, g, matrix))
     say(f"  batch {batch}: {rates}; {batch * flops / seconds / 1e12:.2f} TFLOP/s; residuals {said}{memory}")

@@ -7,7 +7,6 @@ mechanics.solve_state.SolveState holds of one scene is here a row of `Tensors` a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,19 +14,17 @@ import torch
 from torch import Tensor
 
 from tacgen.geometry.analytic_sdf import Shape
-from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.options import SolverOptions
-from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import RATE_GUESS, Leg
-from tacgen.mechanics.state import History, State
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts
+from tacgen.tensor_engine.course import Course
 from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import gathered, index_of, listed, put
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws
+from tacgen.tensor_engine.reduction import NOWHERE
 from tacgen.tensor_engine.replay import Replays
 from tacgen.tensor_engine.scope import numbers
 from tacgen.tensor_engine.shapes import Shapes
@@ -41,18 +38,21 @@ CLASS = 162  # nodes of the smallest class of contacts that are solved together;
 ROOM = 0.75
 KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
 KEPT_FIRST = 6 * KEPT  # of them there is room for so many from the start: growing loses recordings
+OTHERS = 0.75  # of all unknowns of a contact, at most, have others room from the start; most scenes have half as many
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
-# and their reduction to a unknowns (see reduction.Reduction)
-WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "wanted": "k", "G": "kk", "X": "ka", "K": "aa"}
-WIDE |= {"kept": "a", "place": "k"}
+# and their reduction to a unknowns without e others (see reduction.Reduction)
+WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "wanted": "k", "G": "ee", "X": "ea", "K": "aa"}
+WIDE |= {"kept": "a", "lost": "e", "place": "k"}
+PADDING = {"active": False, "wanted": False, "kept": -1, "lost": -1, "place": NOWHERE}  # of all others it is 0
 
 
 class Sizes(NamedTuple):
-    """Sizes of a call: condensed nodes of the scene with most of them, unknowns kept of that with most, and condensed
-    nodes of that with fewest. Where work is recorded they are rounded, so that few occur."""
+    """Sizes of a call: condensed nodes of the scene with most of them, unknowns kept of that with most, others of that
+    with most, and condensed nodes of that with fewest. Where work is recorded they are rounded, so that few occur."""
 
     nodes: int
     kept: int
+    lost: int
     fewest: int
 
     @property
@@ -61,26 +61,16 @@ class Sizes(NamedTuple):
         return 3 * self.nodes
 
 
-def room_for(patch: int) -> int:
-    """Unknowns of a contact for which there is room from the start, on a patch of so many nodes."""
-    return 3 * math.ceil(ROOM * patch)
+def room_for(patch: int) -> dict[str, int]:
+    """Unknowns of a contact for which there is room from the start, on a patch of so many nodes: all of them, those
+    kept and others; see WIDE."""
+    k = 3 * math.ceil(ROOM * patch)
+    return {"k": k, "a": min(k, KEPT_FIRST), "e": math.ceil(OTHERS * k)}
 
 
 def width_class(nodes: int) -> int:
     """The size of contacts with which one of so many nodes is solved."""
     return CLASS << max(0, (nodes - 1) // CLASS).bit_length()
-
-
-class PartOfStep(Enum):
-    """The next part of a step of a scene's contact. They have queues of their own, since few scenes need the last two.
-
-    COUPLED: takes the coupled step, unless its condensed bulk must be reduced to other unknowns first; REDUCE: that;
-    SYMMETRIC: takes a part of the symmetric step, since no part of the coupled one was good enough.
-    """
-
-    COUPLED = 0
-    REDUCE = 1
-    SYMMETRIC = 2
 
 
 class Factors(Protocol):
@@ -106,53 +96,6 @@ class Factors(Protocol):
 
     def expand(self, slots: Tensor, u: Tensor, y: Tensor) -> Tensor:
         """The step (s, n, 3) of all nodes for the condensed step u (s, 3m) and the gradient's first half y."""
-
-
-@dataclass
-class Course:
-    """How far a scene's solve is: as SolveState, BulkIterate and Linearised say it, but for arrays."""
-
-    problem: Problem
-    place: Place
-    phase: Phase = Phase.begin
-    index: int = 0
-    legs: tuple[Leg, ...] = ()
-    near: bool = False  # whether `begins` has a solution nearby
-    may_halve: bool = True
-    effort: int = 0
-    state: State | None = None
-    states: list[State] = field(default_factory=list)
-    why: NotConverged | str | None = None
-    history: History | None = None
-    failure: NotConverged | None = None
-    usable: bool = False  # whether the kept factor serves
-    rested: bool = False  # whether there is the Schur complement at rest
-    left: bool = False  # whether its contact is where the factors cannot be condensed to
-    nodes: int = 0  # condensed ones
-    # of the load step
-    predicted: bool = False
-    found: bool = False
-    solves: int = 0
-    steps: int = 0
-    damped: int = 0
-    # of Newton's method on the bulk
-    new: bool = False
-    residual: float = np.inf
-    rate: float = RATE_GUESS
-    damping: float = 0.0
-    newton_steps: int = 0
-    newton_damped: int = 0
-    # of the step in the making
-    inner_damping: float = 0.0
-    part_of_step: PartOfStep = PartOfStep.COUPLED
-    kept: int = 0  # unknowns to which the Schur complement is reduced, or will be
-    reduced: float = -1.0  # damping of the Schur complement whose reduction is kept; -1: none
-    part: float = 1.0
-
-    def fresh(self) -> None:
-        """Forget all that belongs to one load step."""
-        self.predicted = self.found = False
-        self.solves = self.steps = self.damped = 0
 
 
 class Tensors:
@@ -259,8 +202,7 @@ class Batch:
         B, n, _ = self.X.shape
         _, f, q = self.areas.shape
         m, F = int(self.patch.sum()), self.hexes.weights.shape
-        k = room_for(m) if self.replays.on else 0
-        room = {"k": k, "a": min(k, KEPT_FIRST)}
+        room = room_for(m if self.replays.on else 0)
 
         def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
@@ -284,9 +226,9 @@ class Batch:
 
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
         """Rows of padding of one of WIDE."""
-        padding = {"active": False, "wanted": False, "kept": -1, "place": -1}.get(name, 0.0)
-        types = {"active": torch.bool, "wanted": torch.bool, "kept": torch.long, "place": torch.long, "load": FLOAT}
-        out = torch.full((count, *sizes), padding, dtype=types.get(name, self.factors.dtype), device=self.X.device)
+        padding = PADDING.get(name)  # tells the type, too
+        dtype = None if padding is not None else FLOAT if name == "load" else self.factors.dtype
+        out = torch.full((count, *sizes), 0.0 if padding is None else padding, dtype=dtype, device=self.X.device)
         if name in ("S", "S_0", "K"):
             out.diagonal(dim1=1, dim2=2).fill_(1.0)
         return out
@@ -303,18 +245,21 @@ class Batch:
             setattr(self.t, name, store)
         return store
 
-    def sizes(self, s: Tensor) -> Sizes:
-        """Sizes of a call, for which there is room afterwards."""
+    def sizes(self, s: Tensor, reducing: bool = False) -> Sizes:
+        """Sizes of a call, for which there is room afterwards; but for what it eliminates only if it is `reducing`."""
         each = [self.courses[row] for row in listed(s)]
         nodes, kept, fewest = (max(c.nodes for c in each), max(c.kept for c in each), min(c.nodes for c in each))
+        lost = max(3 * c.nodes - c.kept for c in each)
         if self.replays.on:
             nodes = min(width_class(nodes), max(self.t.S.shape[1] // 3, nodes))
-            kept, fewest = min(-(-kept // KEPT) * KEPT, 3 * nodes), 3 * fewest // KEPT * KEPT // 3
+            kept, lost = (min(-(-count // KEPT) * KEPT, 3 * nodes) for count in (kept, lost))
+            fewest = 3 * fewest // KEPT * KEPT // 3
+        room = {"k": 3 * nodes, "a": kept, "e": lost if reducing else 0}
         for name, axes in WIDE.items():
-            self._widen(name, [3 * nodes if axis == "k" else kept for axis in axes])
+            self._widen(name, [room[axis] for axis in axes])
         if self.factors.reserve(self.t.S.shape[1] // 3):
             self.replays.forget()
-        return Sizes(nodes, kept, fewest)
+        return Sizes(nodes, kept, lost, fewest)
 
     def keep(self, s: Tensor, **parts: Tensor) -> None:
         """Write rows of WIDE, which grow where they are too narrow and are padded where they are wider."""

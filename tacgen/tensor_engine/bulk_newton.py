@@ -17,9 +17,10 @@ from tacgen.mechanics.failures import SQUEEZED, Failure, NotConverged
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.tensor_engine import contact_newton
-from tacgen.tensor_engine.batch import Batch, Course, PartOfStep, Sizes
+from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
+from tacgen.tensor_engine.course import Course, PartOfStep
 from tacgen.tensor_engine.indices import gathered, index_of, listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 

@@ -68,9 +68,9 @@ def reduce(b: Batch, s: Tensor) -> None:
     """
     while len(s):
         rows, damped = listed(s), damping(b, s)
-        sizes = b.sizes(s)
+        sizes = b.sizes(s, reducing=True)
         work = partial(_reduce, b, sizes)
-        (definite,) = b.replays(("reduce", sizes.nodes, sizes.kept, bool(damped)), work, s, *damped)
+        (definite,) = b.replays(("reduce", sizes.nodes, sizes.kept, sizes.lost, bool(damped)), work, s, *damped)
         again = []
         for k, (row, fine) in enumerate(zip(rows, definite.tolist(), strict=True)):
             course = b.courses[row]
@@ -84,16 +84,18 @@ def reduce(b: Batch, s: Tensor) -> None:
 def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor]:
     """Keeps what `reduction.reduced` gives, and where what is eliminated is positive definite (s,)."""
     wanted = b.read("wanted", s, sizes.unknowns)
-    part, definite = reduced(_damped(b, sizes, s, *damping), wanted, sizes.kept)
-    b.keep(s, G=part.G, X=part.X, K=part.K, kept=part.kept, place=part.place, active=wanted)
+    exists = (b.t.nodes[s, : sizes.nodes] >= 0).repeat_interleave(3, 1)
+    part, definite = reduced(_damped(b, sizes, s, *damping), wanted, exists, sizes.kept, sizes.lost)
+    b.keep(s, G=part.G, X=part.X, K=part.K, kept=part.kept, lost=part.lost, place=part.place, active=wanted)
     return (definite,)
 
 
 def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:
-    """The reductions that are kept, in the sizes of a call."""
-    k, a = sizes.unknowns, sizes.kept
-    kept, place = gathered(s, b.wide("kept", a), b.wide("place", k))
-    return Reduction(kept, place, b.wide("G", k, k), b.wide("X", k, a), b.wide("K", a, a), s)
+    """The reductions that are kept, in the sizes of a call but for what is eliminated, for which there is no other
+    size: its products are cheap, and recordings of work few."""
+    k, a, e = sizes.unknowns, sizes.kept, b.t.G.shape[1]
+    kept, place, lost = gathered(s, b.wide("kept", a), b.wide("place", k), b.t.lost)
+    return Reduction(kept, lost, place, b.t.G, b.wide("X", e, a), b.wide("K", a, a), s)
 
 
 def acted(b: Batch, sizes: Sizes, s: Tensor, contact: Contacts, N: Tensor, kept: Tensor) -> tuple[Tensor, ...]:

@@ -1,8 +1,8 @@
-"""Inverses of matrices on a GPU, by Triton: a warp inverts 32 rows, and larger ones go in steps of as many, of two
-launches. And products of matrices in slots, which PyTorch would copy first.
+"""Inverse factors of matrices and solutions of systems on a GPU, by Triton: a warp inverts 32 rows, and larger matrices
+go in steps of as many, of two launches. And products of matrices in slots, which PyTorch would copy first.
 
-In plain operations the inverses are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.inv_ex, of numbers
-of single precision. Imported only where there is a GPU.
+In plain operations these are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.solve, of numbers of
+single precision. Imported only where there is a GPU.
 """
 
 import torch
@@ -14,13 +14,7 @@ PRECISION = tl.constexpr("ieee")  # of products, see tl.dot
 STEP = 32  # rows of a matrix that are eliminated at once, and that one program inverts
 TILE = 64  # rows and columns of a product that a program computes
 ALONE = {"num_warps": 1, "num_stages": 1}  # one warp, and no loads before their turn: it reads what it wrote
-SIZES = ("at", "n", "block", "row", "length")  # no code of its own for each value that they may have
-
-
-@triton.jit
-def _loaded(first, i, j, n, row):
-    """A square of a matrix of n rows, of the unit matrix beyond it."""
-    return tl.load(first + i * row + j, mask=(i < n) & (j < n), other=tl.where(i == j, 1.0, 0.0))
+SIZES = ("at", "n", "width", "later", "block", "row", "length")  # no code of its own for each value that they may have
 
 
 @triton.jit
@@ -112,58 +106,55 @@ def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.co
 
 @triton.jit
 def _inverted(M, SIZE: tl.constexpr):
-    """M^-1 by Gauss-Jordan elimination in place, without pivots; columns are read from rows of N = M^T."""
+    """M^-1 by Gauss-Jordan elimination in place, without pivots, and whether all pivots are positive; columns are read
+    from rows of N = M^T."""
     i, j, each = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :], tl.arange(0, SIZE)
     N = tl.where(i == j, M, tl.trans(M))  # the same; with M in it a compiler gives columns to threads as those of M
+    positive = 1
     for k in tl.static_range(SIZE):
         along, down = _picked(M, i == k, 0), _picked(N, i == k, 0)
         pivot = _picked(along, each == k, 0)
+        positive = tl.where(pivot > 0, positive, 0)
         along = tl.where(each == k, 1.0, along) / pivot
         M = tl.where(i == k, along[None, :], tl.where(j == k, 0.0, M) - down[:, None] * along[None, :])
         N = tl.where(i > k, tl.where(j == k, 0.0, N) - along[:, None] * tl.where(each == k, -1.0, down)[None, :], N)
-    return M
+    return M, positive
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _inverse(A, n, block, row, SIZE: tl.constexpr):
-    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    first = A + tl.program_id(0).to(tl.int64) * block
-    tl.store(first + i * row + j, _inverted(_loaded(first, i, j, n, row), SIZE), mask=(i < n) & (j < n))
+def _pivot_rows(W, D, at, n, width, later, block, row, SIZE: tl.constexpr):
+    """A step of Gauss-Jordan elimination by blocks: the rows from `at` on times the inverse D of their block on the
+    diagonal, in the columns of A behind it, which are `later` tiles, and in those of B."""
+    which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
+    i, each, limit = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :], tl.where(tile < later, n, width)
+    j = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later)) + each
+    place, inside = W + which * block + (at + i) * row + j, (at + i < n) & (j < limit)
+    rows = tl.load(place, mask=inside, other=0.0)
+    P = tl.load(D + which * SIZE * SIZE + i * SIZE + each)
+    tl.store(place, tl.dot(P, rows, input_precision=PRECISION), mask=inside)
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _pivots(A, R, C, at, n, block, row, length, SIZE: tl.constexpr):
-    """A step of Gauss-Jordan elimination by blocks: the rows from `at` on times the inverse of their block on the
-    diagonal, which takes its place, into R (b, SIZE, length); and the columns above and below it into C
-    (b, length, SIZE), 0 in its place."""
-    which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE
-    start = A + which * block
-    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    P = _inverted(_loaded(start + at * (row + 1), i, j, n - at, row), SIZE)
-    limit = tl.where(tile == at, 0, n)  # nothing is read where the block itself stands
-    inside = (at + i < n) & (tile + j < limit)
-    rows = tl.load(start + (at + i) * row + tile + j, mask=inside, other=0.0)
-    rows = tl.dot(P, tl.where((tile == at) & (i == j), 1.0, rows), input_precision=PRECISION)
-    tl.store(R + which * SIZE * length + i * length + tile + j, rows)
-    inside = (tile + i < limit) & (at + j < n)
-    columns = tl.load(start + (tile + i) * row + at + j, mask=inside, other=0.0)
-    tl.store(C + which * SIZE * length + (tile + i) * SIZE + j, columns)
-
-
-@triton.jit(do_not_specialize=SIZES)
-def _others(A, R, C, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.constexpr):
-    """Subtract C times the rows R of a step from all others; and they take their places."""
-    which = tl.program_id(0).to(tl.int64)
-    i = tl.program_id(1) * TILE + tl.arange(0, TILE)[:, None]
-    j = tl.program_id(2) * TILE + tl.arange(0, TILE)[None, :]
-    R, C, each = R + which * STEP * length, C + which * STEP * length, tl.arange(0, STEP)
-    P = tl.load(C + i * STEP + each[None, :], mask=i < n, other=0.0)
-    Q = tl.load(R + each[:, None] * length + j, mask=j < n, other=0.0)
-    place, inside = A + which * block + i * row + j, (i < n) & (j < n)
-    mine, cleared = (i >= at) & (i < at + STEP), (j >= at) & (j < at + STEP)
-    out = tl.load(place, mask=inside & ~mine & ~cleared, other=0.0)
-    out += tl.load(R + (i - at) * length + j, mask=inside & mine, other=0.0)
-    tl.store(place, out - tl.dot(P, Q, input_precision=PRECISION), mask=inside)
+def _other_rows(W, D, POSITIVE, at, n, width, later, block, row, SIZE: tl.constexpr):
+    """Subtract these rows from all others. The next block on the diagonal is inverted instead of stored: D (b, SIZE,
+    SIZE). With `at` = -SIZE this is the first block, of which nothing is subtracted."""
+    which, first, tile = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE, tl.program_id(2)
+    if first != at:
+        each, limit = tl.arange(0, SIZE), tl.where(tile < later, n, width)
+        start = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later))
+        i, j, W = first + each[:, None], start + each[None, :], W + which * block
+        pivots, place = (at + each >= 0) & (at + each < n), W + i * row + j
+        P = tl.load(W + i * row + at + each[None, :], mask=(i < n) & pivots[None, :], other=0.0)
+        Q = tl.load(W + (at + each[:, None]) * row + j, mask=pivots[:, None] & (j < limit), other=0.0)
+        inside = (i < n) & (j < limit)
+        M = tl.load(place, mask=inside, other=tl.where(i == j, 1.0, 0.0)) - tl.dot(P, Q, input_precision=PRECISION)
+        if (tile == 0) & (later > 0) & (first == at + SIZE):
+            X, positive = _inverted(M, SIZE)
+            tl.store(D + which * SIZE * SIZE + each[:, None] * SIZE + each[None, :], X)
+            known = tl.load(POSITIVE + which, mask=at >= 0, other=1)
+            tl.store(POSITIVE + which, known & positive)
+        else:
+            tl.store(place, M, mask=inside)
 
 
 def lower_inverse(A: Tensor) -> Tensor:
@@ -185,19 +176,19 @@ def lower_inverse(A: Tensor) -> Tensor:
     return info
 
 
-def inverse(A: Tensor) -> None:
-    """Overwrite matrices A (b, n, n) by their inverses, without pivots; numbers mean nothing where a block on the
-    diagonal is singular."""
-    n = A.shape[-1]
-    if n <= STEP:
-        _inverse[(len(A),)](A, n, A.stride(0), A.stride(1), SIZE=16 if n <= 16 else 32, **ALONE)
-        return
-    tiles = triton.cdiv(n, STEP)
-    R, C = A.new_empty(2, len(A), STEP * STEP * tiles)
-    sizes = n, A.stride(0), A.stride(1), STEP * tiles
-    for at in range(0, n, STEP):
-        _pivots[(len(A), tiles)](A, R, C, at, *sizes, SIZE=STEP, **ALONE)
-        _others[(len(A), triton.cdiv(n, TILE), triton.cdiv(n, TILE))](A, R, C, at, *sizes, STEP=STEP, TILE=TILE)
+def eliminate(W: Tensor, n: int) -> Tensor:
+    """reduction.eliminate, of matrices of any size."""
+    (s, _, width), tiles = W.shape, triton.cdiv(n, STEP)
+    D, positive = W.new_empty(s, STEP, STEP), torch.empty(s, dtype=torch.int32, device=W.device)
+    more = triton.cdiv(width - n, STEP)
+    for at in range(-STEP, n, STEP):
+        later = max(triton.cdiv(n - at - STEP, STEP), 0)
+        sizes = at, n, width, later, W.stride(0), W.stride(1)
+        if at >= 0:
+            _pivot_rows[(s, later + more)](W, D, *sizes, SIZE=STEP, **ALONE)
+        grid = (s, tiles, later + more) if at >= 0 else (s, 1, 1)
+        _other_rows[grid](W, D, positive, *sizes, SIZE=STEP, **ALONE)
+    return positive > 0
 
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))

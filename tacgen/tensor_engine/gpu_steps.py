@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tacgen.tensor_engine.contact import Contacts
 
 LANES, WARPS = 512, 16  # of a program, most of whose time is waiting for what it loads
-COUNTS = ("scenes", "size", "unknowns", "kept", "count", "nodes", "apart", "q", "trials", "columns", "most")
+COUNTS = ("scenes", "size", "unknowns", "kept", "lost", "count", "nodes", "apart", "q", "trials", "columns", "most")
 HALVED, RISE, DECREASE, SMALLEST = (tl.constexpr(x) for x in (FULL_STEP, ROUNDING, ARMIJO, SHORTEST))
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (tl.constexpr(k) for k in range(5))  # as in contact_newton
 INFINITE = tl.constexpr(float("inf"))
@@ -46,25 +46,29 @@ def shrunk(length: Tensor, dhat: Tensor, gap: Tensor, offset: Tensor, drift: Ten
 
 
 @triton.jit(do_not_specialize=COUNTS)
-def _right(B, KEPT, BESIDE, OUT, unknowns, kept, SIZE: tl.constexpr):
+def _picked(B, AT, LESS, OUT, unknowns, kept, SIZE: tl.constexpr, GIVEN: tl.constexpr):
     scene = tl.program_id(0).to(tl.int64)
     k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     inside = k < kept
-    at = tl.load(KEPT + scene * kept + k, mask=inside, other=-1)
+    at = tl.load(AT + scene * kept + k, mask=inside, other=-1)
     b = tl.load(B + scene * unknowns + at, mask=at >= 0, other=0.0)
-    tl.store(OUT + scene * kept + k, b - tl.load(BESIDE + scene * kept + k, mask=inside, other=0.0), mask=inside)
+    if GIVEN:
+        b -= tl.load(LESS + scene * kept + k, mask=inside, other=0.0)
+    tl.store(OUT + scene * kept + k, b, mask=inside)
 
 
-def right(b: Tensor, kept: Tensor, beside: Tensor) -> Tensor:
-    """b (s, k) at the unknowns kept (s, a), 0 where -1, less `beside` (s, a)."""
-    out, (s, a) = torch.empty_like(beside), kept.shape
+def picked(b: Tensor, at: Tensor, less: Tensor | None = None) -> Tensor:
+    """b (s, k) at the unknowns (s, a), 0 where -1, less what is given (s, a)."""
+    out, (s, a) = b.new_empty(at.shape), at.shape
     if a:
-        _right[(s, triton.cdiv(a, LANES))](b, kept, beside, out, b.shape[1], a, SIZE=LANES)
+        given = b if less is None else less
+        grid = (s, triton.cdiv(a, LANES))
+        _picked[grid](b, at, given, out, b.shape[1], a, SIZE=LANES, GIVEN=less is not None)
     return out
 
 
 @triton.jit(do_not_specialize=COUNTS)
-def _joined(G, X, SOME, PLACE, GOOD, OUT, EXISTS, unknowns, kept, SIZE: tl.constexpr):
+def _joined(G, X, SOME, PLACE, GOOD, OUT, EXISTS, unknowns, kept, lost, SIZE: tl.constexpr):
     scene, lane = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE)
     bad, good = tl.zeros((SIZE,), tl.int32), tl.load(GOOD + scene)
     for writes in tl.static_range(2):
@@ -72,9 +76,13 @@ def _joined(G, X, SOME, PLACE, GOOD, OUT, EXISTS, unknowns, kept, SIZE: tl.const
         while i < unknowns:
             k = i + lane
             inside, at = k < unknowns, scene * unknowns + k
-            place = tl.load(PLACE + at, mask=inside, other=-1)
-            value = tl.load(G + at, mask=inside, other=0.0) - tl.load(X + at, mask=inside, other=0.0)
-            value = tl.where(place >= 0, tl.load(SOME + scene * kept + place, mask=place >= 0, other=0.0), value)
+            place = tl.load(PLACE + at, mask=inside, other=0)
+            other = -1 - place
+            away = inside & (place < 0) & (other < lost)
+            row = scene * lost + other
+            value = tl.load(G + row, mask=away, other=0.0) - tl.load(X + row, mask=away, other=0.0)
+            here = inside & (place >= 0)
+            value = tl.where(here, tl.load(SOME + scene * kept + place, mask=here, other=0.0), value)
             if writes:
                 tl.store(OUT + at, tl.where(good, value, 0.0).to(OUT.dtype.element_ty), mask=inside)
             else:
@@ -86,11 +94,11 @@ def _joined(G, X, SOME, PLACE, GOOD, OUT, EXISTS, unknowns, kept, SIZE: tl.const
 
 
 def joined(G: Tensor, X: Tensor, x: Tensor, place: Tensor, good: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """G - X (s, k) where nothing is kept, else x (s, a) at its place (s, k); 0 where not good (s,) or not finite; and
-    which are good."""
-    (s, k), exists = G.shape, torch.empty_like(good)
+    """At each unknown with its place (s, k) x (s, a), or what of G - X (s, e) belongs to it; see reduction.Reduction. 0
+    where not good (s,) or not finite; and which are good."""
+    (s, k), exists = place.shape, torch.empty_like(good)
     out = G.new_empty(s, k, dtype=dtype)
-    sizes = k, x.shape[1]
+    sizes = k, x.shape[1], G.shape[1]
     _joined[(s,)](G, X, x, place, good, out, exists, *sizes, SIZE=LANES, num_warps=WARPS)
     return out, exists
 

@@ -20,7 +20,7 @@ from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import gathered, listed
-from tacgen.tensor_engine.reduction import solved_by_root, with_points
+from tacgen.tensor_engine.reduction import numbered, solved, with_points
 from tacgen.tensor_engine.replay import recording
 
 
@@ -64,7 +64,7 @@ def cover(b: Batch, s: Tensor, facets: Tensor, which: Tensor) -> None:
     local = torch.where(marked, marked.long().cumsum(1) - 1, -1)
     faces = (local[:, table] >= 0).all(-1) & real
     t = b.t
-    t.put(s, local=local, nodes=_numbers(marked, t.nodes.shape[1]), faces=_numbers(faces, t.faces.shape[1]))
+    t.put(s, local=local, nodes=numbered(marked, t.nodes.shape[1]), faces=numbered(faces, t.faces.shape[1]))
     counts = torch.stack([marked.sum(1), (own & ~b.patch).sum(1)], 1).tolist()
     for row, (nodes, outside) in zip(listed(s), counts, strict=True):
         course = b.courses[row]
@@ -77,13 +77,6 @@ def _nodes_of(b: Batch, facets: Tensor) -> Tensor:
     row, facet = torch.nonzero(facets, as_tuple=True)
     out[row[:, None], b.topology.facets[facet]] = True
     return out
-
-
-def _numbers(marked: Tensor, most: int) -> Tensor:
-    """Numbers (s, most) of what is marked (s, n), in order, padded with -1."""
-    order = torch.argsort((~marked).to(torch.int8), dim=1, stable=True)[:, :most]
-    order = torch.nn.functional.pad(order, (0, most - order.shape[1]))
-    return torch.where(torch.arange(most, device=marked.device) < marked.sum(1, keepdim=True), order, -1)
 
 
 def take(b: Batch, s: Tensor, at: str, mixed: bool, projection: Projection = Projection.NONE) -> list[bool]:
@@ -148,7 +141,7 @@ def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor]:
     S, facets = b.wide("S", k, k), (contact.conn, contact.ends, contact.N)
     K = with_points(S, s, place, place, *facets, ties[..., None] * eye)
     pull = at_nodes(contact, ties * motion[row, faces], k // 3).flatten(1)
-    u, good = solved_by_root(K, pull[..., None].to(S.dtype))
+    u, good = solved(K, pull[..., None].to(S.dtype), symmetric=True)
     good = good & (ties > 0).flatten(1).any(1)
     u = torch.where(good[:, None], u.squeeze(-1).to(x.dtype), 0.0)
     first = x + b.factors.expand(s, u, torch.zeros_like(x)).to(x.dtype)

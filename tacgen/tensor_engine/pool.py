@@ -13,8 +13,9 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, replay, scheduler
-from tacgen.tensor_engine.batch import KEPT_FIRST, Batch, PartOfStep, room_for, width_class
+from tacgen.tensor_engine.batch import KEPT_FIRST, Batch, room_for, width_class
 from tacgen.tensor_engine.condensed import Condensed
+from tacgen.tensor_engine.course import PartOfStep
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
@@ -179,10 +180,9 @@ class Room:
     def of(cls, tree: Dissection, memory: float) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-        c = room_for(len(tree.patch))
-        a = min(c, KEPT_FIRST)
-        # Schur complements now and at rest, an inverse; that of the rest of the patch; what couples both
-        dense = 3 * c**2 + k**2 + k * c + c * a + a**2
+        c, a, e = room_for(len(tree.patch)).values()
+        # Schur complements now and at rest, and reduced; an inverse of the rest of the patch, and what couples both
+        dense = 2 * c**2 + e**2 + e * a + a**2 + k**2 + k * c
         own = 4.0 * (tree.kept + dense) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT * cells)

@@ -100,11 +100,10 @@ def test_forces_tangents_and_merits(slide: float, friction: bool) -> None:
 
 
 @pytest.mark.parametrize("size", [3, 16, 29, 41, 64, 70, 150])
-def test_inverses_of_gpu_blocks(size: int) -> None:
+def test_inverse_factors_by_blocks(size: int) -> None:
     r = np.random.default_rng(size)
     A = torch.tensor(r.normal(size=(3, size, size)), dtype=torch.float32)
     A = A @ A.mT + size * torch.eye(size)
-    B = A + 0.3 * torch.tensor(r.normal(size=A.shape), dtype=torch.float32)
     around = torch.zeros(3, size + 5, size + 4)
     block = around[:, 2 : size + 2, 1 : size + 1]
     block.copy_(torch.tril(A) + 7 * torch.triu(torch.ones_like(A), 1))  # only the lower triangle is read
@@ -113,9 +112,24 @@ def test_inverses_of_gpu_blocks(size: int) -> None:
     assert gpu_blocks.lower_inverse(block).tolist() == [0, 0, 0]
     assert close(block, torch.linalg.inv(torch.linalg.cholesky(A)), 2e-6)
     assert float(around[:, :2].abs().sum() + around[:, :, 0].abs().sum()) == 0.0
-    inverse = B.clone().to(DEVICE)
-    gpu_blocks.inverse(inverse)
-    assert close(inverse, torch.linalg.inv(B), 2e-5)
+
+
+@pytest.mark.parametrize(("size", "columns"), [(3, 1), (32, 33), (41, 1), (64, 70), (150, 2)])
+def test_solutions_by_elimination(size: int, columns: int) -> None:
+    r = np.random.default_rng(size)
+    A = torch.tensor(r.normal(size=(3, size, size)), dtype=torch.float32)
+    A = A + A.mT + 6 * size**0.5 * torch.eye(size)
+    A[1, size - 1, size - 1] = -1.0
+    A[2] += torch.tensor(r.normal(size=(size, size)), dtype=torch.float32)
+    B = torch.tensor(r.normal(size=(3, size, columns)), dtype=torch.float32)
+    W = torch.full((3, size + 2, size + columns + 3), 7.0)
+    W[:, 1:-1, 2:-1] = torch.cat([A, B], 2)
+    W = W.to(DEVICE)
+    positive = gpu_blocks.eliminate(W[:, 1:-1, 2:-1], size)
+    assert positive.tolist()[:2] == [True, False]
+    assert close(W[:, 1:-1, size + 2 : -1].contiguous(), torch.linalg.solve(A, B), 2e-5)
+    W[:, 1:-1, 2:-1] = 7.0
+    assert (W == 7.0).all()
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered")

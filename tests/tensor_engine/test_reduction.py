@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tacgen.tensor_engine.reduction import invert, reduced, solved_by_inverse, with_points
+from tacgen.tensor_engine.reduction import eliminate, reduced, solved_by_elimination, with_points
 
 Array = np.ndarray
 SIZES, WIDTH = (18, 24, 12), 24  # unknowns of each scene, and of the widest
@@ -26,54 +26,74 @@ def systems() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, t
     return (*(torch.tensor(part) for part in (S, active, conn, N, D)),)
 
 
-def test_contact_on_the_reduced_system_has_the_answer_of_the_whole() -> None:
+def exist() -> torch.Tensor:
+    return torch.arange(WIDTH) < torch.tensor(SIZES)[:, None]
+
+
+@pytest.mark.parametrize(("a", "e"), [(24, 12), (25, 17)])
+def test_contact_on_the_reduced_system_has_the_answer_of_the_whole(a: int, e: int) -> None:
     S, active, conn, N, D = systems()
-    part, definite = reduced(S, active, WIDTH)
+    part, definite = reduced(S, active, exist(), a, e)
     assert definite.all()
+    assert part.G.shape == (3, e, e)
     K = with_points(part.K, part.slots, part.kept, part.place, conn, None, N, D)
     b = torch.tensor(np.random.default_rng(0).normal(size=(3, WIDTH)))
-    for k, n in enumerate(SIZES):
-        b[k, n:] = 0.0
     x, good = part.solve(K, b, False)
     assert good.all()
     everywhere = torch.arange(WIDTH).expand(3, -1)
     whole = with_points(S, part.slots, everywhere, everywhere, conn, None, N, D)
     assert (whole - whole.mT).abs().max() > 0.1
-    assert torch.linalg.solve(whole, b[..., None]).squeeze(-1).numpy() == pytest.approx(x.numpy(), abs=1e-10)
+    wanted = torch.linalg.solve(whole, b[..., None]).squeeze(-1)
+    assert torch.where(exist(), wanted, 0.0).numpy() == pytest.approx(x.numpy(), abs=1e-10)
 
 
 def test_what_is_eliminated_must_be_positive_definite_and_a_symmetric_system_too() -> None:
     S, active, *_ = systems()
     S[0, 17, 17] = -1.0  # eliminated
     S[1, 0, 0] = -50.0  # kept
-    part, definite = reduced(S, active, WIDTH)
+    part, definite = reduced(S, active, exist(), WIDTH, WIDTH)
     assert definite.tolist() == [False, True, True]
     _, good = part.solve(part.K, torch.ones(3, WIDTH, dtype=S.dtype), True)
     assert good.tolist()[1:] == [False, True]
 
 
-def test_systems_that_have_no_good_inverse_without_pivots_are_solved_with_them() -> None:
+def test_systems_that_have_no_good_solution_without_pivots_are_solved_with_them() -> None:
     r = np.random.default_rng(1)
-    K = torch.tensor(r.normal(size=(3, 100, 100)) + 40 * np.eye(100), dtype=torch.float32)
+    K = torch.tensor(r.normal(size=(3, 400, 400)) + 40 * np.eye(400), dtype=torch.float32)
     K[1, 5] = 0.0
-    K[2, :50, :50] = 0.0
-    b = torch.tensor(r.normal(size=(3, 100, 1)), dtype=torch.float32)
-    x, good = solved_by_inverse(K, b)
+    K[2, :192, :192] = 0.0  # a block on the diagonal
+    b = torch.tensor(r.normal(size=(3, 400, 1)), dtype=torch.float32)
+    x, good = solved_by_elimination(K, b)
     assert good.tolist() == [True, False, True]
     for k in (0, 2):
         assert (K[k] @ x[k]).numpy() == pytest.approx(b[k].numpy(), abs=1e-3)
 
 
 @pytest.mark.parametrize("size", [1, 97, 400, 700])
-def test_the_inverse_by_blocks(size: int) -> None:
+def test_elimination_by_blocks(size: int) -> None:
     r = np.random.default_rng(size)
-    A = torch.tensor(r.normal(size=(3, size, size)) + 2 * np.sqrt(size) * np.eye(size))
-    inverse = A.clone()
-    invert(inverse)
-    assert inverse.numpy() == pytest.approx(np.linalg.inv(A.numpy()), abs=1e-12)
+    A = r.normal(size=(3, size, size)) + 2 * np.sqrt(size) * np.eye(size)
+    B, W = r.normal(size=(3, size, 2)), torch.full((3, size, size + 5), 7.0, dtype=torch.float64)
+    W[..., :size], W[..., size : size + 2] = torch.tensor(A), torch.tensor(B)
+    eliminate(W[..., : size + 2], size)
+    assert W[..., size : size + 2].numpy() == pytest.approx(np.linalg.solve(A, B), abs=1e-12)
+    assert (W[..., size + 2 :] == 7.0).all()
+
+
+@pytest.mark.parametrize("where", [0, 130, 360])
+def test_elimination_tells_which_matrices_are_positive_definite(where: int) -> None:
+    r = np.random.default_rng(2)
+    A = r.normal(size=(2, 400, 400))
+    A = A @ A.swapaxes(1, 2) + np.eye(400)
+    A[1, where, where] = -1.0
+    W = torch.tensor(np.concatenate([A, np.ones((2, 400, 1))], 2))
+    assert eliminate(W, 400).tolist() == [True, False]
+    x, good = solved_by_elimination(torch.tensor(A), torch.ones(2, 400, 1, dtype=torch.float64), symmetric=True)
+    assert good.tolist() == [True, False]
+    assert x[0].numpy() == pytest.approx(np.linalg.solve(A[0], np.ones((400, 1))), rel=1e-6)
 
 
 def test_systems_without_unknowns_have_a_solution() -> None:
-    x, good = solved_by_inverse(torch.zeros(2, 0, 0), torch.zeros(2, 0, 1))
+    x, good = solved_by_elimination(torch.zeros(2, 0, 0), torch.zeros(2, 0, 1))
     assert x.shape == (2, 0, 1)
     assert good.all()
