@@ -1,5 +1,5 @@
 """Inverse factors of matrices and solutions of systems on a GPU, by Triton: a warp inverts 32 rows, and larger matrices
-go in steps of as many, of two launches. And products of matrices in slots, which PyTorch would copy first.
+go in steps of as many, of two or three launches. And products of matrices in slots, which PyTorch would copy first.
 
 In plain operations these are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.solve, of numbers of
 single precision. Imported only where there is a GPU.
@@ -122,39 +122,42 @@ def _inverted(M, SIZE: tl.constexpr):
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _pivot_rows(W, D, at, n, width, later, block, row, SIZE: tl.constexpr):
-    """A step of Gauss-Jordan elimination by blocks: the rows from `at` on times the inverse D of their block on the
-    diagonal, in the columns of A behind it, which are `later` tiles, and in those of B."""
-    which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
-    i, each, limit = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :], tl.where(tile < later, n, width)
-    j = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later)) + each
-    place, inside = W + which * block + (at + i) * row + j, (at + i < n) & (j < limit)
-    rows = tl.load(place, mask=inside, other=0.0)
-    P = tl.load(D + which * SIZE * SIZE + i * SIZE + each)
-    tl.store(place, tl.dot(P, rows, input_precision=PRECISION), mask=inside)
+def _pivots(W, D, POSITIVE, at, n, block, row, SIZE: tl.constexpr):
+    """A step of Gauss-Jordan elimination by blocks: the inverse D (b, SIZE, SIZE) of the block on the diagonal."""
+    which = tl.program_id(0).to(tl.int64)
+    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    inside, other = (at + i < n) & (at + j < n), tl.where(i == j, 1.0, 0.0)
+    M = tl.load(W + which * block + (at + i) * row + at + j, mask=inside, other=other)
+    X, positive = _inverted(M, SIZE)
+    tl.store(D + which * SIZE * SIZE + i * SIZE + j, X)
+    tl.store(POSITIVE + which, tl.load(POSITIVE + which, mask=at > 0, other=1) & positive)
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _other_rows(W, D, POSITIVE, at, n, width, later, block, row, SIZE: tl.constexpr):
-    """Subtract these rows from all others. The next block on the diagonal is inverted instead of stored: D (b, SIZE,
-    SIZE). With `at` = -SIZE this is the first block, of which nothing is subtracted."""
-    which, first, tile = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE, tl.program_id(2)
+def _pivot_rows(W, D, at, n, width, later, block, row, SIZE: tl.constexpr):
+    """Rows from `at` on times that, in the columns of A behind it, which are `later` tiles, and in those of B."""
+    which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
+    i, each = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    j = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later)) + each
+    place, inside = W + which * block + (at + i) * row + j, (at + i < n) & (j < tl.where(tile < later, n, width))
+    rows, X = tl.load(place, mask=inside, other=0.0), tl.load(D + which * SIZE * SIZE + i * SIZE + each)
+    tl.store(place, tl.dot(X, rows, input_precision=PRECISION), mask=inside)
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _other_rows(W, at, n, width, later, block, row, SIZE: tl.constexpr):
+    """Subtract these rows from all others."""
+    first, tile = tl.program_id(1) * SIZE, tl.program_id(2)
     if first != at:
+        W += tl.program_id(0).to(tl.int64) * block
         each, limit = tl.arange(0, SIZE), tl.where(tile < later, n, width)
-        start = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later))
-        i, j, W = first + each[:, None], start + each[None, :], W + which * block
-        pivots, place = (at + each >= 0) & (at + each < n), W + i * row + j
+        j = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later)) + each[None, :]
+        i, pivots = first + each[:, None], at + each < n
         P = tl.load(W + i * row + at + each[None, :], mask=(i < n) & pivots[None, :], other=0.0)
         Q = tl.load(W + (at + each[:, None]) * row + j, mask=pivots[:, None] & (j < limit), other=0.0)
-        inside = (i < n) & (j < limit)
-        M = tl.load(place, mask=inside, other=tl.where(i == j, 1.0, 0.0)) - tl.dot(P, Q, input_precision=PRECISION)
-        if (tile == 0) & (later > 0) & (first == at + SIZE):
-            X, positive = _inverted(M, SIZE)
-            tl.store(D + which * SIZE * SIZE + each[:, None] * SIZE + each[None, :], X)
-            known = tl.load(POSITIVE + which, mask=at >= 0, other=1)
-            tl.store(POSITIVE + which, known & positive)
-        else:
-            tl.store(place, M, mask=inside)
+        place, inside = W + i * row + j, (i < n) & (j < limit)
+        left = tl.load(place, mask=inside, other=0.0)
+        tl.store(place, left - tl.dot(P, Q, input_precision=PRECISION), mask=inside)
 
 
 def lower_inverse(A: Tensor) -> Tensor:
@@ -178,16 +181,14 @@ def lower_inverse(A: Tensor) -> Tensor:
 
 def eliminate(W: Tensor, n: int) -> Tensor:
     """reduction.eliminate, of matrices of any size."""
-    (s, _, width), tiles = W.shape, triton.cdiv(n, STEP)
+    s, _, width = W.shape
     D, positive = W.new_empty(s, STEP, STEP), torch.empty(s, dtype=torch.int32, device=W.device)
-    more = triton.cdiv(width - n, STEP)
-    for at in range(-STEP, n, STEP):
-        later = max(triton.cdiv(n - at - STEP, STEP), 0)
-        sizes = at, n, width, later, W.stride(0), W.stride(1)
-        if at >= 0:
-            _pivot_rows[(s, later + more)](W, D, *sizes, SIZE=STEP, **ALONE)
-        grid = (s, tiles, later + more) if at >= 0 else (s, 1, 1)
-        _other_rows[grid](W, D, positive, *sizes, SIZE=STEP, **ALONE)
+    for at in range(0, n, STEP):
+        later = triton.cdiv(max(n - at - STEP, 0), STEP)
+        tiles, sizes, block = later + triton.cdiv(width - n, STEP), (at, n, width, later), (W.stride(0), W.stride(1))
+        _pivots[(s,)](W, D, positive, at, n, *block, SIZE=STEP, **ALONE)
+        _pivot_rows[(s, tiles)](W, D, *sizes, *block, SIZE=STEP, **ALONE)
+        _other_rows[(s, triton.cdiv(n, STEP), tiles)](W, *sizes, *block, SIZE=STEP, **ALONE)
     return positive > 0
 
 
