@@ -2,6 +2,8 @@
 
 import ctypes
 import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 
@@ -9,7 +11,9 @@ CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
 # part of a process's memory in use beyond which its allocator gives back what it keeps for later, since a recording can
 # not take that; and beyond which there is none for further recordings
 TIGHT, FULL = 0.6, 0.85
+URGENT = -1  # priority of a stream above the usual one
 BLOCKING_SYNC = 4  # CU_CTX_SCHED_BLOCKING_SYNC of CUDA's driver
+_urgent: dict[str, torch.cuda.Stream] = {}  # the stream of this process on each device
 _part = 1.0  # of a GPU's memory, that this process may use
 
 
@@ -31,6 +35,9 @@ def chosen(device: str, part: float = 1.0) -> float:
     _part = part
     _wait_asleep(torch.device(device).index)
     torch.cuda.set_device(device)
+    if device not in _urgent:  # one stream, since memory is kept for the stream that it was used in
+        _urgent[device] = torch.cuda.Stream(priority=URGENT)
+    torch.cuda.set_stream(_urgent[device])
     torch.cuda.set_per_process_memory_fraction(part)
     return part * float(torch.cuda.mem_get_info()[1])
 
@@ -45,6 +52,21 @@ def _wait_asleep(number: int) -> None:
     handle = ctypes.c_int()
     if driver.cuInit(0) == 0 and driver.cuDeviceGet(ctypes.byref(handle), number) == 0:
         driver.cuDevicePrimaryCtxSetFlags_v2(handle, BLOCKING_SYNC)
+
+
+@contextmanager
+def giving_way(device: torch.device) -> Iterator[None]:
+    """Whatever is begun in here lets other work of this and of other processes go first, which runs in urgent streams:
+    a GPU has room for blocks of threads all the time, and gives it to those of urgent streams. Work that fills a GPU
+    for milliseconds hardly takes longer for that, while short work does not wait behind it."""
+    if device.type != "cuda":
+        yield
+        return
+    now, slow = torch.cuda.current_stream(), torch.cuda.Stream()
+    slow.wait_stream(now)
+    with torch.cuda.stream(slow):
+        yield
+    now.wait_stream(slow)
 
 
 def full(device: torch.device) -> bool:

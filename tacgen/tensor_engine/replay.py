@@ -8,7 +8,7 @@ many, else without. So work must not read what it writes, and a scene's results 
 
 import gc
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -21,6 +21,7 @@ from tacgen.tensor_engine.indices import index_of, listed
 
 SIZES = (2, 4, 8, 16, 32, 64, 128, 256)  # rows of recordings
 SMALL = 16  # rows of a call that would take hardly less time with fewer
+SLOW = ("factor",)  # work that fills a GPU, and gives way to all other
 Outputs = tuple[Tensor, ...]
 Work = Callable[..., Outputs]  # of slots (s,) and numbers (s,); outputs have a row for each
 _noted: "_Notes | None" = None  # while work is recorded
@@ -118,7 +119,7 @@ class Replays:
             self.on = False  # else each call would look for memory again
             return self._eagerly(work, s, numbers)
         self._recorded[at] = recorded
-        out, missed = recorded.replay(rows, numbers)
+        out, missed = recorded.replay(rows, numbers, isinstance(key, tuple) and key[0] in SLOW)
         self.count += 1
         if missed:
             self.again += len(missed)
@@ -187,16 +188,16 @@ class _Recording:
             gc.enable()
         now.wait_stream(stream)
 
-    def replay(self, rows: list[int], numbers: Sequence[Sequence[float]]) -> tuple[Outputs, list[int]]:
-        """Outputs for these rows, and the places of those that met something rare."""
+    def replay(
+        self, rows: list[int], numbers: Sequence[Sequence[float]], slow: bool = False
+    ) -> tuple[Outputs, list[int]]:
+        """Outputs for these rows, and the places of those that met something rare; slow: whether it gives way."""
         more = self.size - len(rows)
         self.slots.copy_(torch.tensor(rows + rows[:1] * more))
         for at, each in zip(self.numbers, numbers, strict=True):
             at.copy_(torch.tensor([*each, *[each[0]] * more], dtype=torch.float64))
-        if self.graph is None:
-            self.run()
-        else:
-            self.graph.replay()
+        with devices.giving_way(self.slots.device) if slow else nullcontext():
+            self.run() if self.graph is None else self.graph.replay()
         out = tuple(part[: len(rows)] for part in self.out)
         if self.missed is None:
             return out, []

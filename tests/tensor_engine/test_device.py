@@ -1,6 +1,8 @@
 """How the batch engine takes a device."""
 
 import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -32,11 +34,15 @@ def test_a_process_sleeps_while_it_waits_for_its_gpu(monkeypatch: pytest.MonkeyP
     calls: list[Any] = []
     monkeypatch.setattr(ctypes, "CDLL", lambda name: Driver(calls) if name == "libcuda.so.1" else None)
     monkeypatch.setattr(torch.cuda, "set_device", lambda device: calls.append(device))
+    monkeypatch.setattr(torch.cuda, "Stream", lambda priority: priority)
+    monkeypatch.setattr(torch.cuda, "set_stream", lambda stream: calls.append(f"stream of {stream}"))
     monkeypatch.setattr(torch.cuda, "set_per_process_memory_fraction", lambda part: calls.append(part))
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (5, 8))
     monkeypatch.setattr(devices, "_part", 1.0)
+    monkeypatch.setattr(devices, "_urgent", {})
     assert devices.chosen("cuda:2", 0.5) == 4.0
-    assert calls == [(12, 4), "cuda:2", 0.5]  # the driver first: flags count for a GPU that was not used yet
+    # the driver first: flags count for a GPU that was not used yet
+    assert calls == [(12, 4), "cuda:2", "stream of -1", 0.5]
     calls.clear()
     devices._wait_asleep(7)  # there is none
     assert calls == []
@@ -50,3 +56,31 @@ def test_without_the_driver_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(ctypes, "CDLL", none)
     devices._wait_asleep(0)
+
+
+def test_slow_work_runs_in_a_stream_that_is_not_urgent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After all that was begun before it, and before what is begun later."""
+    log: list[str] = []
+
+    class Stream:
+        def __init__(self, name: str = "slow") -> None:
+            self.name = name
+
+        def wait_stream(self, other: "Stream") -> None:
+            log.append(f"{self.name} waits for {other.name}")
+
+    @contextmanager
+    def entered(stream: Stream) -> Iterator[None]:
+        log.append(f"in {stream.name}")
+        yield
+        log.append(f"out of {stream.name}")
+
+    now = Stream("urgent")
+    for name, value in (("current_stream", lambda: now), ("Stream", Stream), ("stream", entered)):
+        monkeypatch.setattr(torch.cuda, name, value)
+    with devices.giving_way(torch.device("cuda:0")):
+        log.append("work")
+    assert log == ["slow waits for urgent", "in slow", "work", "out of slow", "urgent waits for slow"]
+    with devices.giving_way(torch.device("cpu")):
+        log.clear()
+    assert log == []

@@ -1,7 +1,7 @@
 """Recorded work does what work does, for calls of any size, and never waits for the device while it is recorded."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -178,6 +178,15 @@ def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.M
             (found,) = b.replays("forces", work, s)
             assert (found - eager).abs().max() < 1e-12 * eager.abs().max()
         assert (b.replays.again, recorded[-1]) == (again, last)
+
+
+def test_factors_give_way_to_other_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, replays, keys = list[Any](), Replays(CPU, on=True), (("factor", 1), ("contact", 1), "plain")
+    monkeypatch.setattr(devices, "giving_way", lambda device: begun.append(device) or nullcontext())
+    for key in keys:
+        for _ in range(3):  # first without a recording
+            replays(key, lambda s: (s,), index_of([0], CPU))
+    assert begun == [CPU, CPU]
 
 
 @pytest.mark.parametrize("short", [[True, False], [True, True]])
