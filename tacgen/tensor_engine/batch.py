@@ -220,6 +220,7 @@ class Batch:
             **{name: zeros() for name in alone},
             h_rotation=zeros(3, 3), h_position=zeros(3), rotation=zeros(3, 3), position=zeros(3),
             J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
+            own=index(), lost_count=index(), kept_count=index(),
             nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1,
             c_x=zeros(m, 3), **{name: self._blank(name, B, [room[k] for k in axes]) for name, axes in WIDE.items()},
         )  # fmt: skip

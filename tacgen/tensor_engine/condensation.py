@@ -40,12 +40,13 @@ def damping(b: Batch, s: Tensor) -> Damping:
 def condensed(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Quadratics:
     """The condensed bulk of each scene with its damping (s,), if one is damped; not reduced."""
     k = sizes.unknowns
-    S, at_rest = b.wide("S", k, k), b.wide("S_0", k, k)
+    S, at_rest, used = b.wide("S", k, k), b.wide("S_0", k, k), (b.t.own, b.t.own)
 
     def times(u: Tensor) -> Tensor:
-        out = slot_times(S, s, u)
+        out = slot_times(S, s, u, used=used)
         for factor in damping:
-            out = torch.where(factor[:, None] > 0, out + factor[:, None] * slot_times(at_rest, s, u), out)
+            more = factor[:, None] * slot_times(at_rest, s, u, used=used)
+            out = torch.where(factor[:, None] > 0, out + more, out)
         return out
 
     return Quadratics(b.at_condensed(s, b.t.x, sizes.nodes), times, b.read("load", s, k))
@@ -86,6 +87,7 @@ def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor
     wanted = b.read("wanted", s, sizes.unknowns)
     exists = (b.t.nodes[s, : sizes.nodes] >= 0).repeat_interleave(3, 1)
     part, definite = reduced(_damped(b, sizes, s, *damping), wanted, exists, sizes.kept, sizes.lost)
+    b.t.put(s, lost_count=part.used[0], kept_count=part.used[1])
     b.keep(s, G=part.G, X=part.X, K=part.K, kept=part.kept, lost=part.lost, place=part.place, active=wanted)
     return (definite,)
 
@@ -95,7 +97,8 @@ def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:
     size: its products are cheap, and recordings of work few."""
     k, a, e = sizes.unknowns, sizes.kept, b.t.G.shape[1]
     kept, place, lost = gathered(s, b.wide("kept", a), b.wide("place", k), b.t.lost)
-    return Reduction(kept, lost, place, b.t.G, b.wide("X", e, a), b.wide("K", a, a), s)
+    used = b.t.lost_count, b.t.kept_count
+    return Reduction(kept, lost, place, b.t.G, b.wide("X", e, a), b.wide("K", a, a), s, used)
 
 
 def acted(b: Batch, sizes: Sizes, s: Tensor, contact: Contacts, N: Tensor, kept: Tensor) -> tuple[Tensor, ...]:

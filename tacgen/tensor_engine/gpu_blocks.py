@@ -194,35 +194,41 @@ def eliminate(W: Tensor, n: int) -> Tensor:
 
 @triton.jit(do_not_specialize=("tiles", "rows", "columns"))
 def _slot_times(
-    A, SLOTS, X, Y, tiles, rows, columns, slot, tile, row, TURNED: tl.constexpr, SIZE: tl.constexpr, LONG: tl.constexpr
+    A, SLOTS, DOWN, ACROSS, X, Y, tiles, rows, columns, slot, tile, row,
+    USED: tl.constexpr, TURNED: tl.constexpr, SIZE: tl.constexpr, LONG: tl.constexpr,
 ):  # fmt: skip
     which = tl.program_id(0).to(tl.int64)
-    first = A + tl.load(SLOTS + which // tiles) * slot + which % tiles * tile
+    kept = tl.load(SLOTS + which // tiles)
+    first, down, across = A + kept * slot + which % tiles * tile, rows, columns
+    if USED:
+        down, across = tl.minimum(tl.load(DOWN + kept), rows), tl.minimum(tl.load(ACROSS + kept), columns)
     mine, each = tl.program_id(1) * SIZE + tl.arange(0, SIZE), tl.arange(0, LONG)
-    out = tl.zeros((SIZE,), Y.dtype.element_ty)
+    out, k = tl.zeros((SIZE,), Y.dtype.element_ty), 0
     if TURNED:
-        k = 0
-        while k < rows:  # Triton's interpreter has no range of such numbers
+        down = tl.where(tl.program_id(1) * SIZE < across, down, 0)
+        while k < down:  # Triton's interpreter has no range of such numbers
             j = k + each
-            x = tl.load(X + which * rows + j, mask=j < rows, other=0.0)
-            inside = (j < rows)[:, None] & (mine < columns)[None, :]
+            x = tl.load(X + which * rows + j, mask=j < down, other=0.0)
+            inside = (j < down)[:, None] & (mine < across)[None, :]
             M = tl.load(first + j[:, None] * row + mine[None, :], mask=inside, other=0.0)
             out += tl.sum(M.to(Y.dtype.element_ty) * x[:, None], 0)
             k += LONG
         tl.store(Y + which * columns + mine, out, mask=mine < columns)
     else:
-        k = 0
-        while k < columns:
+        across = tl.where(tl.program_id(1) * SIZE < down, across, 0)
+        while k < across:
             j = k + each
-            x = tl.load(X + which * columns + j, mask=j < columns, other=0.0)
-            inside = (mine < rows)[:, None] & (j < columns)[None, :]
+            x = tl.load(X + which * columns + j, mask=j < across, other=0.0)
+            inside = (mine < down)[:, None] & (j < across)[None, :]
             M = tl.load(first + mine[:, None] * row + j[None, :], mask=inside, other=0.0)
             out += tl.sum(M.to(Y.dtype.element_ty) * x[None, :], 1)
             k += LONG
         tl.store(Y + which * rows + mine, out, mask=mine < rows)
 
 
-def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool = False) -> Tensor:
+def slot_times(
+    A: Tensor, slots: Tensor, x: Tensor, transposed: bool = False, used: tuple[Tensor, Tensor] | None = None
+) -> Tensor:
     """products.slot_times of A (capacity, r, c) or (capacity, t, r, c), whose columns are next to each other."""
     (rows, columns), tiles = A.shape[-2:], x.shape[:-1].numel() // max(len(slots), 1)
     count = columns if transposed else rows
@@ -231,7 +237,8 @@ def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool = False) ->
         # few of the results and much of a sum in a program: many programs, with few loads that wait for each other
         size, long = (32, 128 if transposed else 256) if max(rows, columns) > 64 else (32, 32)
         _slot_times[(len(slots) * tiles, triton.cdiv(count, size))](
-            A, slots, x.contiguous(), y, tiles, rows, columns, A.stride(0), A.stride(-3) if A.dim() > 3 else 0,
-            A.stride(-2), TURNED=transposed, SIZE=size, LONG=long,
+            A, slots, *(used or (slots, slots)), x.contiguous(), y, tiles, rows, columns, A.stride(0),
+            A.stride(-3) if A.dim() > 3 else 0, A.stride(-2), USED=used is not None, TURNED=transposed, SIZE=size,
+            LONG=long,
         )  # fmt: skip
     return y

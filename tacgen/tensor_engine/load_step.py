@@ -64,7 +64,13 @@ def cover(b: Batch, s: Tensor, facets: Tensor, which: Tensor) -> None:
     local = torch.where(marked, marked.long().cumsum(1) - 1, -1)
     faces = (local[:, table] >= 0).all(-1) & real
     t = b.t
-    t.put(s, local=local, nodes=numbered(marked, t.nodes.shape[1]), faces=numbered(faces, t.faces.shape[1]))
+    t.put(
+        s,
+        own=3 * marked.sum(1),
+        local=local,
+        nodes=numbered(marked, t.nodes.shape[1]),
+        faces=numbered(faces, t.faces.shape[1]),
+    )
     counts = torch.stack([marked.sum(1), (own & ~b.patch).sum(1)], 1).tolist()
     for row, (nodes, outside) in zip(listed(s), counts, strict=True):
         course = b.courses[row]

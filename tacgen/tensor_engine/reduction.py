@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.multifrontal import BASE, half, invert_factor
-from tacgen.tensor_engine.products import slot_times
+from tacgen.tensor_engine.products import Used, slot_times
 from tacgen.tensor_engine.replay import rare
 
 # Largest residual of a solution without pivots, over the largest entry of the right-hand side: a forcing term of an
@@ -27,7 +27,8 @@ class Reduction:
     """For Schur complements (s, k, k): numbers of the unknowns that are kept (s, a) and of those that are eliminated
     (s, e), -1 where padded, and `place` (s, k) of each: its row among the kept ones, or -1 - its row among the others.
     At their slots (s,): the inverse G (capacity, e, e) of the eliminated part, X = G S on the kept columns (capacity,
-    e, a), and K (capacity, a, a), the stiffness on the kept unknowns, the unit matrix where padded."""
+    e, a), and K (capacity, a, a), the stiffness on the kept unknowns, the unit matrix where padded; used: numbers of
+    unknowns (capacity,) that are eliminated and that are kept."""
 
     kept: Tensor
     lost: Tensor
@@ -36,15 +37,17 @@ class Reduction:
     X: Tensor
     K: Tensor
     slots: Tensor
+    used: Used
 
     def solve(self, K: Tensor, b: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """x (s, k) of (S + contact) x = b (s, k), with K (s, a, a) of both on the kept unknowns, and which exist (s,):
         K is not singular or, if symmetric, is positive definite."""
         to, b, slots = b.dtype, b.to(K.dtype), self.slots
-        lost = _picked(b, self.lost)
-        x, good = solved(K, _picked(b, self.kept, slot_times(self.X, slots, lost, True))[..., None], symmetric)
+        lost, used = _picked(b, self.lost), self.used
+        x, good = solved(K, _picked(b, self.kept, slot_times(self.X, slots, lost, True, used))[..., None], symmetric)
         x = x.squeeze(-1)
-        G, X = slot_times(self.G, slots, lost), slot_times(self.X, slots, x)
+        G = slot_times(self.G, slots, lost, used=(used[0], used[0]))
+        X = slot_times(self.X, slots, x, used=used)
         if devices.by_kernels(b):
             from tacgen.tensor_engine import gpu_steps
 
@@ -148,7 +151,8 @@ def reduced(S: Tensor, active: Tensor, exists: Tensor, a: int, e: int) -> tuple[
     G = L.mT @ L
     X = G @ beside
     K = torch.baddbmm(M[:, e:, e:], beside.mT, X, alpha=-1)
-    return Reduction(kept, lost, place, G, X, K, torch.arange(len(S), device=S.device)), info == 0
+    slots, used = torch.arange(len(S), device=S.device), (others.sum(1), active.sum(1))
+    return Reduction(kept, lost, place, G, X, K, slots, used), info == 0
 
 
 def numbered(marked: Tensor, most: int) -> Tensor:

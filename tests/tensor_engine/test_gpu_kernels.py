@@ -345,6 +345,24 @@ def test_products_of_matrices_in_slots(shape: tuple[int, ...], transposed: bool)
     assert not wanted.numel() or close(found, wanted, 1e-12)
 
 
+@pytest.mark.parametrize("transposed", [False, True])
+def test_products_of_parts_of_matrices(transposed: bool) -> None:
+    """Whatever is beyond the rows and columns that are used is neither read nor written."""
+    r = np.random.default_rng(8)
+    A = torch.tensor(r.normal(size=(4, 90, 300)), dtype=torch.float32)
+    down, across, slots = torch.tensor([90, 7, 0, 33]), torch.tensor([300, 299, 5, 40]), torch.tensor([3, 1, 2])
+    x = torch.tensor(r.normal(size=(3, 90 if transposed else 300)))
+    parts = A.clone()
+    for k in range(4):
+        parts[k, down[k] :] = parts[k, :, across[k] :] = 0.0
+        A[k, down[k] :] = A[k, :, across[k] :] = torch.nan
+    wanted = products.slot_times(parts, slots, x, transposed)
+    found = gpu_blocks.slot_times(
+        *(part.to(DEVICE) for part in (A, slots, x)), transposed, (down.to(DEVICE), across.to(DEVICE))
+    )
+    assert close(found, wanted, 1e-12)
+
+
 @pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
 def test_the_barrier_of_cells() -> None:
     """Of scenes in other slots than their own, with an inverted cell and a void one."""

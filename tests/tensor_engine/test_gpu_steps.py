@@ -134,7 +134,9 @@ def test_solutions_on_the_kept_unknowns_are_put_together(monkeypatch: pytest.Mon
     G, X, K = (tensor(r.normal(size=(6, *shape)).astype(np.float32)) for shape in ((e, e), (e, a), (a, a)))
     K = K @ K.mT + 4 * torch.eye(a, device=DEVICE)
     X[4, 2, 3] = torch.inf
-    part = reduction.Reduction(*map(tensor, (kept, lost, place)), G, X, K, tensor([3, 0, 5, 4]))
+    used = tensor(np.full(6, 18)), tensor(np.full(6, 10))
+    G[:, 18:] = G[:, :, 18:] = X[:, 18:] = X[:, :, 10:] = 0.0
+    part = reduction.Reduction(*map(tensor, (kept, lost, place)), G, X, K, tensor([3, 0, 5, 4]), used)
     b = tensor(r.normal(size=(4, k)))
     (x, good), (wanted, fine) = both(lambda: part.solve(K[part.slots], b, True), monkeypatch)
     assert same(x, wanted, 1e-6)
