@@ -19,7 +19,7 @@ import numpy as np
 
 from tacgen import __version__, atomic_file
 from tacgen.bundle.chunks import Column, FrameReader, rounded
-from tacgen.bundle.hdf5_file import Damaged, datasets, opened
+from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
@@ -75,7 +75,7 @@ class Writer:
             with self._sink.guard():
                 # v110: all metadata have checksums; readable by every HDF5 since 1.10
                 self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
-                self._file.attrs.update(sorted(self._attrs.items()))
+                add_attributes(self._file.id, dict(sorted(self._attrs.items())))
         except BaseException:
             self.__exit__()
             raise
@@ -127,8 +127,9 @@ class Writer:
             self._file.attrs.update({**late, "digest": _digest(self._attrs, checksums), "complete": True})
             self._file.close()
         try:
-            bundle = read(self._sink.path, part=True)
-            bundle.verify(lambda path, data: self._columns[path].stored(data))
+            with opened(self._sink.path) as file:
+                bundle = _bundle(self._sink.path, file)
+                bundle._compare(file, lambda path, data: self._columns[path].stored(data))
         except UserError as error:
             raise OSError(EIO, "what was written does not read back", str(self.path)) from error
         self._sink.publish()
@@ -217,16 +218,17 @@ class Bundle:
         except ValueError as error:
             raise UserError(f"{self.path}: its sensor cannot be read by this version of tacgen: {error}") from None
 
-    def verify(self, content: Callable[[str, Any], str] | None = None) -> dict[str, "Dataset"]:
-        """Compare all contents with the digest; UserError if a single bit has changed. Returns the datasets by path.
-
-        `content` gives the SHA-256 of an open dataset by its path, for a writer that knows its chunks' contents.
-        """
-        datasets = {}
+    def verify(self) -> dict[str, "Dataset"]:
+        """Compare all contents with the digest; UserError if a single bit has changed. Returns the datasets by path."""
         with opened(self.path, self.group) as file:
-            for path in self.shapes:
-                data = file[path[1:]]
-                datasets[path] = Dataset.of(data, content(path, data) if content else FrameReader(data).sha256())
+            return self._compare(file, lambda _, data: FrameReader(data).sha256())
+
+    def _compare(self, file: Any, content: Callable[[str, Any], str]) -> dict[str, "Dataset"]:
+        """As `verify`, of the bundle's open group; `content` gives the SHA-256 of an open dataset by its path."""
+        datasets = {}
+        for path in self.shapes:
+            data = file[path[1:]]
+            datasets[path] = Dataset.of(data, content(path, data))
         if _digest(self.attrs, datasets) != self.attrs["digest"]:
             raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
         return datasets
@@ -249,23 +251,28 @@ class Bundle:
         return next((shape[dims.index(axis)] for shape, dims in places if axis in dims), 0)
 
 
-def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
+def read(path: Path, group: str = "/") -> Bundle:
     """Open a finished bundle, or a scene of a shard. The data themselves are checked by `Bundle.verify`.
 
     Raises:
-        Unfinished, Damaged: it has to be written again. `part` accepts the name of a part file.
+        Unfinished, Damaged: it has to be written again.
         UserError: the file is missing, is not a bundle, or has a newer format.
     """
     path = Path(path)
-    if atomic_file.is_part(path) and not part:
+    if atomic_file.is_part(path):
         raise Unfinished(f"{path}: unfinished: part file of a writer that was stopped or is still running")
-    shapes, wrong = dict[str, tuple[int, ...]](), ""
     with opened(path, group) as file:
-        attrs = {sys.intern(name): _shared(value) for name, value in file.attrs.items()}
-        try:
-            shapes = datasets(file)
-        except ValueError as error:
-            wrong = str(error)
+        return _bundle(path, file, group)
+
+
+def _bundle(path: Path, file: Any, group: str = "/") -> Bundle:
+    """The bundle in an open group of a file; raises as `read`."""
+    attrs = {sys.intern(name): _shared(value) for name, value in attributes_of(file).items()}
+    shapes, wrong = dict[str, tuple[int, ...]](), ""
+    try:
+        shapes = datasets(file)
+    except ValueError as error:
+        wrong = str(error)
     if not isinstance(attrs.get("tacgen_format"), int):
         raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED_HINT * ("tacgen_pack" in attrs))
     if attrs["tacgen_format"] > FORMAT:
@@ -313,7 +320,7 @@ class Dataset:
     @classmethod
     def of(cls, data: Any, sha256: str) -> "Dataset":
         """The properties of an open h5py dataset, given the SHA-256 of its content."""
-        attrs = {name: _plain(value) for name, value in data.attrs.items()}
+        attrs = {name: _plain(value) for name, value in attributes_of(data).items()}
         return cls(data.dtype.str, data.shape, attrs, sha256)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import deflate
 import numpy as np
 
+from tacgen.bundle.hdf5_file import add_attributes
 from tacgen.bundle.schema import entry
 
 Array = np.ndarray
@@ -26,13 +27,15 @@ class Column:
     """A dataset during writing, frame by frame or at once.
 
     Args:
-        group: an open HDF5 group.
+        file: an open HDF5 file.
         first: the first frame, or the whole dataset.
         frames: planned number of frames; None: the dataset has no frame axis.
         attrs: attributes of the dataset.
     """
 
-    def __init__(self, group: Any, path: str, first: Array, frames: int | None, attrs: dict[str, str]) -> None:
+    def __init__(self, file: Any, path: str, first: Array, frames: int | None, attrs: dict[str, str]) -> None:
+        from h5py import h5d, h5p, h5s, h5t
+
         self.hash, self.length, self.shape = hashlib.sha256(), 0, first.shape
         self._sums: dict[tuple[int, ...], int] = {}  # offset of each chunk -> CRC-32 of its stored bytes
         self._waiting: list[Array] = []
@@ -42,11 +45,16 @@ class Column:
         if frames is not None:
             self._rows = max(1, min(frames, SMALL // max(1, first.nbytes)))
             shape, chunk = (frames, *shape), (self._rows, *chunk)
-        sizes = {"chunks": tuple(max(1, n) for n in chunk), "maxshape": tuple(n or None for n in shape)}
-        self._ndim = len(shape)
-        filters = {"compression": "gzip", "compression_opts": LEVEL, "shuffle": True}
-        self.data = group.create_dataset(path, shape, first.dtype, track_times=False, **sizes, **filters)
-        self.data.attrs.update(attrs)
+        space = h5s.create_simple(shape, tuple(n or h5s.UNLIMITED for n in shape))
+        packing, groups = h5p.create(h5p.DATASET_CREATE), h5p.create(h5p.LINK_CREATE)
+        packing.set_chunk(tuple(max(1, n) for n in chunk))
+        packing.set_shuffle()
+        packing.set_deflate(LEVEL)
+        packing.set_obj_track_times(False)
+        groups.set_create_intermediate_group(True)
+        kind = h5t.py_create(first.dtype, logical=True)
+        self.data = h5d.create(file.id, path.encode(), kind, space, dcpl=packing, lcpl=groups)
+        add_attributes(self.data, attrs)
 
     def append(self, values: Array) -> None:
         """The next frame, or the whole dataset."""
@@ -58,8 +66,8 @@ class Column:
 
     def finish(self) -> None:
         """Remove the frames that were planned but not written, and write what is buffered."""
-        if self._rows and self.length < len(self.data):
-            self.data.resize(self.length, axis=0)  # before writing: HDF5 would compress a chunk again that it truncates
+        if self._rows and self.length < self.data.shape[0]:
+            self.data.set_extent((self.length, *self.shape))  # before writing: HDF5 would compress a cut chunk again
         if self._waiting:
             self._waiting += [np.zeros_like(self._waiting[0])] * (self._rows - len(self._waiting))
             self._flush()
@@ -81,10 +89,10 @@ class Column:
         if not block.size:
             return
         for part, stream in enumerate(_packed(block, self._parts)):
-            begin = [0] * self._ndim
+            begin = [0] * len(self.data.shape)
             begin[0] = (self.length - 1) // max(1, self._rows) * self._rows
             begin[-1] += part
-            self.data.id.write_direct_chunk(tuple(begin), stream)
+            self.data.write_direct_chunk(tuple(begin), stream)
             self._sums[tuple(begin)] = deflate.crc32(stream)
 
 

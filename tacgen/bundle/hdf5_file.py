@@ -1,13 +1,19 @@
-"""Opening of untrusted HDF5 files: structure, types, shapes and filters are validated before any data are read."""
+"""Opening of untrusted HDF5 files: structure, types, shapes and filters are validated before any data are read.
+
+Datasets and attributes are walked over by h5py's low-level API, which takes a third of the time of the usual one: a
+bundle has 100 of them, more to write than its ten frames.
+"""
 
 import io
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tacgen import regular_file
 from tacgen.bundle.schema import FORMAT, entry, shape_problem
@@ -87,8 +93,6 @@ def opened(path: Path, group: str = "/") -> Iterator[Any]:
 def datasets(root: Any) -> dict[str, tuple[int, ...]]:
     """Shape of every dataset of an open bundle by its path.
 
-    h5py's low-level API takes half the time of the usual one, which matters when a folder of bundles is opened.
-
     Raises:
         ValueError: a dataset or group is not in the layout, or differs from it.
     """
@@ -112,6 +116,36 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
 
     walk(root.id, "")
     return dict(sorted(shapes.items()))
+
+
+def add_attributes(item: Any, attrs: Mapping[str, Any]) -> None:
+    """Give an open low-level group or dataset attributes that it does not have: text, numbers or bool."""
+    from h5py import h5a, h5s, h5t, string_dtype
+
+    scalar = h5s.create(h5s.SCALAR)
+    for name, value in attrs.items():
+        one = np.array(value, string_dtype() if isinstance(value, str) else None)
+        stored = h5t.py_create(one.dtype, logical=True)
+        h5a.create(item, name.encode(), stored, scalar).write(one, mtype=h5t.py_create(one.dtype))
+
+
+def attributes_of(item: Any) -> dict[str, Any]:
+    """The attributes of an open group or dataset, as h5py's `attrs` gives them."""
+    from h5py import h5a, h5t, string_dtype
+
+    found: dict[str, Any] = {}
+    names: list[bytes] = []
+    text, in_memory = np.empty((), object), h5t.py_create(string_dtype())
+    h5a.iterate(item.id, names.append)
+    for encoded in names:
+        one, name = h5a.open(item.id, encoded), encoded.decode("utf-8", "surrogateescape")
+        kind = one.get_type()
+        if one.shape == () and isinstance(kind, h5t.TypeStringID) and kind.is_variable_str():
+            one.read(text, mtype=in_memory)
+            found[name] = text.item().decode("utf-8", "surrogateescape")
+        else:
+            found[name] = item.attrs[name]
+    return found
 
 
 def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ...]:

@@ -23,7 +23,7 @@ from tacgen.bundle import schema
 from tacgen.bundle.bundle import Unfinished, Writer, complete, read
 from tacgen.bundle.check import check
 from tacgen.bundle.chunks import rounded
-from tacgen.bundle.hdf5_file import Damaged
+from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of
 from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 
@@ -113,6 +113,24 @@ def test_any_hdf5_reads_it_and_every_dataset_says_what_it_is(tmp_path: Path) -> 
             np.testing.assert_array_equal(file[path][()], ours[path])
             if path.startswith(("/frames", "/fields")):
                 np.testing.assert_array_equal(file[path][7], ours.frame(path, 7))
+
+
+def test_attributes_are_stored_and_found_as_h5py_does(tmp_path: Path) -> None:
+    ours = {"text": "\N{GREEK SMALL LETTER MU}", "none": "", "count": 3, "seed": 2**64 - 1, "part": 0.5, "whole": True}
+    others = {"bytes": np.bytes_("ab"), "list": ["a", "b"], "row": np.arange(3.0), "empty": h5py.Empty("f8")}
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        add_attributes(file.id, ours)
+        kinds = {name: file.attrs.get_id(name).get_type() for name in ours}
+        assert dict(file.attrs) == ours
+        file.attrs.update(ours)
+        assert {name: file.attrs.get_id(name).get_type() for name in ours} == kinds
+        file.attrs.update(others)
+        file.attrs["no text"] = h5py.Empty(h5py.string_dtype())
+        found = attributes_of(file)
+        assert list(found) == list(file.attrs)
+        for name, value in file.attrs.items():
+            assert type(found[name]) is type(value)
+            assert found[name] is value or np.array_equal(found[name], value)
 
 
 def test_components_of_a_map_lie_apart(tmp_path: Path) -> None:
