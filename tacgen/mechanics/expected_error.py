@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,8 +45,9 @@ class FaceGrid:
     step: float
 
     @classmethod
+    @lru_cache(maxsize=2)
     def of(cls, gel: "GelBody", step: float = 0.0) -> "FaceGrid":
-        """The face of a gel; a `step` of 0 gives POINTS points."""
+        """The face of a gel; a `step` of 0 gives POINTS points. The scenes of a sensor share it, and a grasp has two."""
         step = step or math.sqrt(gel.width * gel.height / POINTS)
         x, y = (np.arange(-size / 2, size / 2, step) for size in (gel.width, gel.height))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
