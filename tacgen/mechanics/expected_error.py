@@ -47,7 +47,7 @@ class FaceGrid:
     @classmethod
     @lru_cache(maxsize=2)
     def of(cls, gel: "GelBody", step: float = 0.0) -> "FaceGrid":
-        """The face of a gel; a `step` of 0 gives POINTS points. The scenes of a sensor share it, and a grasp has two."""
+        """The face of a gel, shared by the scenes of a sensor; a grasp has two. A `step` of 0 gives POINTS points."""
         step = step or math.sqrt(gel.width * gel.height / POINTS)
         x, y = (np.arange(-size / 2, size / 2, step) for size in (gel.width, gel.height))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
