@@ -166,7 +166,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene 
             status, reason, done, bundles = _made(row, path, on_event, clock, solution)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
-    atomic_file.write(path.with_suffix(".timing.json"), timing.encode())
+    atomic_file.write(path.with_suffix(".timing.json"), timing.encode(), sync=False)
     return SceneResult(row.name, path, status, reason, done, seconds, bundles)
 
 
