@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from errno import EIO
@@ -114,22 +114,27 @@ class Writer:
         whole = self.appended == self.frames
         if status not in ("ok", "rejected") or bool(reason) == whole or (status == "ok" and not self.appended):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
-        late = {"status": status, "reason": reason}
+        late: dict[str, Any] = {"status": status, "reason": reason}
         if notes:
             late["notes"] = json.dumps([*json.loads(self._attrs.get("notes", "[]")), *notes])
         self._attrs.update(late)
-        checksums = {}
+        described = {}
         with self._sink.guard():
             for path, column in self._columns.items():
                 column.finish()
-                described = column.data.dtype.str, column.data.shape, attributes(path)  # as `verify` finds them
-                checksums[path] = Dataset(*described, column.hash.hexdigest())
-            self._file.attrs.update({**late, "digest": _digest(self._attrs, checksums), "complete": True})
+                data, content = column.data, column.hash.hexdigest()
+                described[path] = Dataset(data.dtype.str, data.shape, column.attrs, content)  # as `verify` finds it
+            last = {"digest": _digest(self._attrs, described), "complete": True}
+            self._attrs.update(last)
+            self._file.attrs.update({**late, **last})
             self._file.close()
         try:
             with opened(self._sink.path) as file:
                 bundle = _bundle(self._sink.path, file)
-                bundle._compare(file, lambda path, data: self._columns[path].stored(data))
+                alike = bundle.attrs == self._attrs
+                alike &= bundle.shapes == {path: one.shape for path, one in described.items()}
+                if not (alike and all(self._columns[path].is_stored(file[path].id) for path in bundle.shapes)):
+                    raise Damaged("its contents are not those that were written")
         except UserError as error:
             raise OSError(EIO, "what was written does not read back", str(self.path)) from error
         self._sink.publish()
@@ -220,15 +225,12 @@ class Bundle:
 
     def verify(self) -> dict[str, "Dataset"]:
         """Compare all contents with the digest; UserError if a single bit has changed. Returns the datasets by path."""
-        with opened(self.path, self.group) as file:
-            return self._compare(file, lambda _, data: FrameReader(data).sha256())
-
-    def _compare(self, file: Any, content: Callable[[str, Any], str]) -> dict[str, "Dataset"]:
-        """As `verify`, of the bundle's open group; `content` gives the SHA-256 of an open dataset by its path."""
         datasets = {}
-        for path in self.shapes:
-            data = file[path[1:]]
-            datasets[path] = Dataset.of(data, content(path, data))
+        with opened(self.path, self.group) as file:
+            for path in self.shapes:
+                data = file[path[1:]]
+                attrs = {name: _plain(value) for name, value in attributes_of(data).items()}
+                datasets[path] = Dataset(data.dtype.str, data.shape, attrs, FrameReader(data).sha256())
         if _digest(self.attrs, datasets) != self.attrs["digest"]:
             raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
         return datasets
@@ -316,12 +318,6 @@ class Dataset:
     shape: tuple[int, ...]
     attrs: dict[str, Any]
     sha256: str
-
-    @classmethod
-    def of(cls, data: Any, sha256: str) -> "Dataset":
-        """The properties of an open h5py dataset, given the SHA-256 of its content."""
-        attrs = {name: _plain(value) for name, value in attributes_of(data).items()}
-        return cls(data.dtype.str, data.shape, attrs, sha256)
 
 
 def _digest(attrs: Mapping[str, Any], datasets: Mapping[str, Dataset]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import deflate
 import numpy as np
 
-from tacgen.bundle.hdf5_file import add_attributes
+from tacgen.bundle.hdf5_file import add_attributes, has_texts
 from tacgen.bundle.schema import entry
 
 Array = np.ndarray
@@ -36,7 +36,7 @@ class Column:
     def __init__(self, file: Any, path: str, first: Array, frames: int | None, attrs: dict[str, str]) -> None:
         from h5py import h5d, h5p, h5s, h5t
 
-        self.hash, self.length, self.shape = hashlib.sha256(), 0, first.shape
+        self.hash, self.length, self.shape, self.attrs = hashlib.sha256(), 0, first.shape, attrs
         self._sums: dict[tuple[int, ...], int] = {}  # offset of each chunk -> CRC-32 of its stored bytes
         self._waiting: list[Array] = []
         self._parts = first.shape[-1] if first.ndim == 3 and first.dtype.kind == "f" else 1
@@ -73,16 +73,10 @@ class Column:
             self._waiting += [np.zeros_like(self._waiting[0])] * (self._rows - len(self._waiting))
             self._flush()
 
-    def stored(self, data: Any) -> str:
-        """SHA-256 of the content, if this dataset of the reopened file has the chunks that were written.
-
-        Raises:
-            ValueError: it does not.
-        """
-        for begin, checksum in self._sums.items():
-            if deflate.crc32(data.id.read_direct_chunk(begin)[1]) != checksum:
-                raise ValueError(f"{data.name} is not what was written")
-        return self.hash.hexdigest()
+    def is_stored(self, data: Any) -> bool:
+        """Whether a low-level dataset of the reopened file has the attributes and chunks that were written."""
+        chunks = ((begin, data.read_direct_chunk(begin)[1]) for begin in self._sums)
+        return has_texts(data, self.attrs) and all(deflate.crc32(c) == self._sums[begin] for begin, c in chunks)
 
     def _flush(self) -> None:
         block = np.stack(self._waiting) if len(self._waiting) > 1 else self._waiting[0]

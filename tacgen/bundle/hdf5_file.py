@@ -148,6 +148,18 @@ def attributes_of(item: Any) -> dict[str, Any]:
     return found
 
 
+def has_texts(item: Any, texts: Mapping[str, str]) -> bool:
+    """Whether an open low-level dataset has these attributes and no others; h5py raises where one is no text."""
+    from h5py import h5a, h5t, string_dtype
+
+    found, in_memory = np.empty((), object), h5t.py_create(string_dtype())
+    for name, text in texts.items():
+        h5a.open(item, name.encode()).read(found, mtype=in_memory)
+        if found.item() != text.encode():
+            return False
+    return int(h5a.get_num_attrs(item)) == len(texts)
+
+
 def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ...]:
     """A dataset's shape. Raises ValueError: it is stored elsewhere, differs from the layout, or claims more data than
     its compressed size can hold."""

@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+import re
 import resource
 import subprocess
 import sys
@@ -435,11 +436,22 @@ def test_a_folder_in_a_files_place_is_named_not_the_part_that_was_written(tmp_pa
     assert list(tmp_path.iterdir()) == [place]
 
 
-def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(tmp_path: Path, monkeypatch) -> None:
-    real = os.pwrite
-    monkeypatch.setattr(atomic_file.os, "pwrite", lambda h, data, at: real(h, bytes(data[:-1]) + b"\x55", at))
+@pytest.mark.parametrize(
+    ("written", "stored"),
+    [
+        (b".$", b"U"),  # of each write
+        (b"^\x78\x01..", b"\x78\x01ab"),  # a chunk
+        (b"force on the gel", b"force in the gel"),  # an attribute of a dataset
+        (b"a solver", b"o solver"),  # one of the scene
+    ],
+)
+def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: bytes, stored: bytes
+) -> None:
+    real, lies = os.pwrite, re.compile(written, re.DOTALL)
+    monkeypatch.setattr(atomic_file.os, "pwrite", lambda h, data, at: real(h, lies.sub(stored, data, 1), at))
     with pytest.raises(OSError, match="does not read back") as caught:
-        write(tmp_path / "x.h5")
+        write(tmp_path / "x.h5", solver="a solver")
     assert caught.value.errno == errno.EIO
     assert os.listdir(tmp_path) == []
     assert schema.FORMAT == 1
