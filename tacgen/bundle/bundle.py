@@ -20,7 +20,7 @@ import numpy as np
 from tacgen import __version__, atomic_file
 from tacgen.bundle.chunks import Column, FrameReader, rounded
 from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened
-from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, attributes, entry, shape_problem
+from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, as_stored, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 
@@ -145,7 +145,7 @@ class Writer:
         row = entry(path)
         if row.per_frame != per_frame:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
-        values = rounded(path, np.asarray(array).astype(row.dtype, order="C", casting="same_kind", copy=False))
+        values = rounded(path, as_stored(path, array))
         self._sizes.pop("N", None)
         known = path in self._columns and self._columns[path].shape == values.shape
         shape = (self.appended + 1, *values.shape) if per_frame else values.shape
