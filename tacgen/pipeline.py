@@ -79,7 +79,8 @@ def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Cl
 
 def _finite(found: Datasets) -> Datasets:
     """The datasets as they are stored. Raises Rejected: one of them is not finite."""
-    found = {path: as_stored(path, values) for path, values in found.items()}
+    with np.errstate(over="ignore"):  # to inf
+        found = {path: as_stored(path, values) for path, values in found.items()}
     if wrong := next(filter(None, (finite_problem(path, values) for path, values in found.items())), None):
         raise Rejected(wrong)
     return found

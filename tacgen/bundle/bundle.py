@@ -131,9 +131,9 @@ class Writer:
         try:
             with opened(self._sink.path) as file:
                 bundle = _bundle(self._sink.path, file)
-                alike = bundle.attrs == self._attrs
-                alike &= bundle.shapes == {path: one.shape for path, one in described.items()}
-                if not (alike and all(self._columns[path].is_stored(file[path].id) for path in bundle.shapes)):
+                shapes = {path: one.shape for path, one in described.items()}
+                alike = bundle.attrs == self._attrs and bundle.shapes == shapes
+                if not (alike and all(column.is_stored(file) for column in self._columns.values())):
                     raise Damaged("its contents are not those that were written")
         except UserError as error:
             raise OSError(EIO, "what was written does not read back", str(self.path)) from error

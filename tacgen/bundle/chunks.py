@@ -37,6 +37,7 @@ class Column:
         from h5py import h5d, h5p, h5s, h5t
 
         self.hash, self.length, self.shape, self.attrs = hashlib.sha256(), 0, first.shape, attrs
+        self._path = path.encode()
         self._sums: dict[tuple[int, ...], int] = {}  # offset of each chunk -> CRC-32 of its stored bytes
         self._waiting: list[Array] = []
         self._parts = first.shape[-1] if first.ndim == 3 and first.dtype.kind == "f" else 1
@@ -54,7 +55,7 @@ class Column:
         packing.set_obj_track_times(False)
         groups.set_create_intermediate_group(True)
         kind = h5t.py_create(first.dtype, logical=True)
-        self.data = h5d.create(file.id, path.encode(), kind, space, dcpl=packing, lcpl=groups)
+        self.data = h5d.create(file.id, self._path, kind, space, dcpl=packing, lcpl=groups)
         add_attributes(self.data, attrs)
 
     def append(self, values: Array) -> None:
@@ -73,8 +74,11 @@ class Column:
             self._waiting += [np.zeros_like(self._waiting[0])] * (self._rows - len(self._waiting))
             self._flush()
 
-    def is_stored(self, data: Any) -> bool:
-        """Whether a low-level dataset of the reopened file has the attributes and chunks that were written."""
+    def is_stored(self, file: Any) -> bool:
+        """Whether the dataset of the file, opened again, has the attributes and chunks that were written."""
+        from h5py import h5d
+
+        data = h5d.open(file.id, self._path)
         chunks = ((begin, data.read_direct_chunk(begin)[1]) for begin in self._sums)
         return has_texts(data, self.attrs) and all(deflate.crc32(c) == self._sums[begin] for begin, c in chunks)
 

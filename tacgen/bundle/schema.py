@@ -103,10 +103,8 @@ def attributes(path: str) -> dict[str, str]:
 
 
 def as_stored(path: str, values: np.ndarray) -> np.ndarray:
-    """Values in the type in which they are stored; inf where they are too large for it. Raises TypeError: of a kind
-    that cannot be cast to it."""
-    with np.errstate(over="ignore"):
-        return np.asarray(values).astype(entry(path).dtype, order="C", casting="same_kind", copy=False)
+    """Values in the type in which they are stored. Raises TypeError: of a kind that cannot be cast to it."""
+    return np.asarray(values).astype(entry(path).dtype, order="C", casting="same_kind", copy=False)
 
 
 def finite_problem(path: str, values: np.ndarray) -> str | None:
@@ -114,8 +112,8 @@ def finite_problem(path: str, values: np.ndarray) -> str | None:
     row = entry(path)
     if row.dtype[1] != "f":
         return None
-    bad = np.isinf(values) if row.nan else ~np.isfinite(values)
-    return f"{path} is not finite at {tuple(np.argwhere(bad)[0].tolist())}" if bad.any() else None
+    fine = ~np.isinf(values) if row.nan else np.isfinite(values)
+    return None if fine.all() else f"{path} is not finite at {tuple(np.argwhere(~fine)[0].tolist())}"
 
 
 def shape_problem(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:

@@ -62,8 +62,8 @@ class FaceGrid:
         hit = np.zeros(self.shape, bool)
         hit.flat[near] = self.inside[near] & (shape.value(placed.local(self.points[near])) < 0)
         # Crofton's formula: crossings along two directions, times pi / 4
-        crossings = sum(int((along[1:] != along[:-1]).sum()) for along in (hit, hit.T))
-        return float(hit.sum()) * self.step**2, crossings * self.step * math.pi / 4
+        crossings = np.count_nonzero(hit[1:] != hit[:-1]) + np.count_nonzero(hit[:, 1:] != hit[:, :-1])
+        return np.count_nonzero(hit) * self.step**2, crossings * self.step * math.pi / 4
 
     @cached_property
     def _blocks(self) -> tuple[Array, Array, Array]:
