@@ -145,16 +145,18 @@ def _packed(block: Array, parts: int, level: int) -> list[bytes]:
 
 def _unpacked(streams: list[bytes], dtype: np.dtype, shape: tuple[int, ...]) -> Array:
     """Decompress the streams of a block."""
-    size, plain = dtype.itemsize * math.prod(shape) // len(streams), list[bytearray]()
-    for stream in streams:
+    count = math.prod(shape) // len(streams)
+    values = np.empty((count, len(streams), dtype.itemsize), np.uint8)
+    for part, stream in enumerate(streams):
         try:
-            plain.append(deflate.zlib_decompress(stream, size))  # no more than that of a malicious stream
+            plain = deflate.zlib_decompress(stream, values[:, part].size)  # no more than that of a malicious stream
         except deflate.DeflateError as error:
             raise ValueError(f"a chunk does not inflate: {error}") from None
-        if len(plain[-1]) != size:
+        if len(plain) != values[:, part].size:
             raise ValueError("a chunk is not as long as it should be")
-    planes = np.frombuffer(b"".join(plain), np.uint8).reshape(len(streams) * dtype.itemsize, -1)
-    return planes.T.flatten().view(dtype).reshape(shape)
+        for byte, plane in enumerate(np.frombuffer(plain, np.uint8).reshape(-1, count)):  # a third of the time of .T
+            values[:, part, byte] = plane
+    return values.reshape(-1).view(dtype).reshape(shape)
 
 
 def rounded(path: str, values: Array) -> Array:
