@@ -3,7 +3,7 @@
 Any HDF5 reads the result. libdeflate gives the same bytes for the same content in each process; ISA-L, four times as
 fast, gives others for one stream in some thousands. Each stream ends with a checksum of its content (Adler-32), which
 is verified on reading. Each component of a map has its own chunk, which compresses better; images are one chunk: with
-three they would be a tenth smaller but take half as long again to read. Maps are rounded before, to the digits that
+three, noisy ones would be a tenth smaller but take a fifth longer to read, and dark ones would be larger. Maps are rounded before, to the digits that
 their error allows, since random bits cannot be compressed. Pictures are compressed at level 1, all else at level 2.
 """
 
