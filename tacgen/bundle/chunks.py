@@ -3,8 +3,9 @@
 Any HDF5 reads the result. libdeflate gives the same bytes for the same content in each process; ISA-L, four times as
 fast, gives others for one stream in some thousands. Each stream ends with a checksum of its content (Adler-32), which
 is verified on reading. Each component of a map has its own chunk, which compresses better; images are one chunk: with
-three, noisy ones would be a tenth smaller but take a fifth longer to read, and dark ones would be larger. Maps are rounded before, to the digits that
-their error allows, since random bits cannot be compressed. Pictures are compressed at level 1, all else at level 2.
+three, noisy ones would be a tenth smaller but take a fifth longer to read, and dark ones would be larger. Maps are
+rounded before, to the digits that their error allows, since random bits cannot be compressed. Pictures are compressed
+at level 1, all else at level 2.
 """
 
 import hashlib
@@ -14,7 +15,7 @@ from typing import Any
 import deflate
 import numpy as np
 
-from tacgen.bundle.hdf5_file import add_attributes, has_texts
+from tacgen.bundle.hdf5_file import add_attributes, dataset_at, has_texts, new_dataset
 from tacgen.bundle.schema import entry
 
 Array = np.ndarray
@@ -34,10 +35,8 @@ class Column:
     """
 
     def __init__(self, file: Any, path: str, first: Array, frames: int | None, attrs: dict[str, str]) -> None:
-        from h5py import h5d, h5p, h5s, h5t
-
         self.hash, self.length, self.shape, self.attrs = hashlib.sha256(), 0, first.shape, attrs
-        self._path = path.encode()
+        self._path = path
         self._sums: dict[tuple[int, ...], int] = {}  # offset of each chunk -> CRC-32 of its stored bytes
         self._waiting: list[Array] = []
         self._parts = first.shape[-1] if first.ndim == 3 and first.dtype.kind == "f" else 1
@@ -47,15 +46,7 @@ class Column:
         if frames is not None:
             self._rows = max(1, min(frames, SMALL // max(1, first.nbytes)))
             shape, chunk = (frames, *shape), (self._rows, *chunk)
-        space = h5s.create_simple(shape, tuple(n or h5s.UNLIMITED for n in shape))
-        packing, groups = h5p.create(h5p.DATASET_CREATE), h5p.create(h5p.LINK_CREATE)
-        packing.set_chunk(tuple(max(1, n) for n in chunk))
-        packing.set_shuffle()
-        packing.set_deflate(self._level)
-        packing.set_obj_track_times(False)
-        groups.set_create_intermediate_group(True)
-        kind = h5t.py_create(first.dtype, logical=True)
-        self.data = h5d.create(file.id, self._path, kind, space, dcpl=packing, lcpl=groups)
+        self.data = new_dataset(file, path, first.dtype, shape, chunk, self._level)
         add_attributes(self.data, attrs)
 
     def append(self, values: Array) -> None:
@@ -76,9 +67,7 @@ class Column:
 
     def is_stored(self, file: Any) -> bool:
         """Whether the dataset of the file, opened again, has the attributes and chunks that were written."""
-        from h5py import h5d
-
-        data = h5d.open(file.id, self._path)
+        data = dataset_at(file, self._path)
         chunks = ((begin, data.read_direct_chunk(begin)[1]) for begin in self._sums)
         return has_texts(data, self.attrs) and all(deflate.crc32(c) == self._sums[begin] for begin, c in chunks)
 

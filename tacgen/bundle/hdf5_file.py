@@ -1,7 +1,6 @@
-"""Opening of untrusted HDF5 files: structure, types, shapes and filters are validated before any data are read.
+"""HDF5 files by h5py's low-level API, which takes a third of the time of the usual one.
 
-Datasets and attributes are walked over by h5py's low-level API, which takes a third of the time of the usual one: a
-bundle has 100 of them, more to write than its ten frames.
+An untrusted file's structure, types, shapes and filters are validated before any data are read.
 """
 
 import io
@@ -116,6 +115,29 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
 
     walk(root.id, "")
     return dict(sorted(shapes.items()))
+
+
+def new_dataset(
+    file: Any, path: str, dtype: np.dtype, shape: tuple[int, ...], chunk: tuple[int, ...], level: int
+) -> Any:
+    """A low-level dataset that is shuffled and deflated, and its groups; an empty axis may grow."""
+    from h5py import h5d, h5p, h5s, h5t
+
+    packing, groups = h5p.create(h5p.DATASET_CREATE), h5p.create(h5p.LINK_CREATE)
+    packing.set_chunk(tuple(max(1, n) for n in chunk))
+    packing.set_shuffle()
+    packing.set_deflate(level)
+    packing.set_obj_track_times(False)
+    groups.set_create_intermediate_group(True)
+    space = h5s.create_simple(shape, tuple(n or h5s.UNLIMITED for n in shape))
+    return h5d.create(file.id, path.encode(), h5t.py_create(dtype, logical=True), space, dcpl=packing, lcpl=groups)
+
+
+def dataset_at(file: Any, path: str) -> Any:
+    """A low-level dataset of an open file."""
+    from h5py import h5d
+
+    return h5d.open(file.id, path.encode())
 
 
 def add_attributes(item: Any, attrs: Mapping[str, Any]) -> None:
