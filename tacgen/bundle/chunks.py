@@ -127,9 +127,9 @@ class FrameReader:
 
 def _packed(block: Array, parts: int, level: int) -> list[bytes]:
     """Compress a block (..., c) as 1 chunk, or as c chunks of one component each."""
-    flat = np.ascontiguousarray(block).reshape(-1).view(np.uint8)
-    planes = np.ascontiguousarray(flat.reshape(-1, parts * block.itemsize).T).reshape(parts, -1)
-    return [bytes(deflate.zlib_compress(plane, level)) for plane in planes]
+    values = np.ascontiguousarray(block).reshape(-1).view(np.uint8).reshape(-1, parts, block.itemsize)
+    planes = (np.ascontiguousarray(values[:, part].T) for part in range(parts))  # one at a time stays in the cache
+    return [bytes(deflate.zlib_compress(plane.reshape(-1), level)) for plane in planes]
 
 
 def _unpacked(streams: list[bytes], dtype: np.dtype, shape: tuple[int, ...]) -> Array:
