@@ -187,18 +187,20 @@ class Sink:
     def flush(self) -> None:
         """Nothing is buffered here; `publish` syncs."""
 
-    def publish(self) -> None:
-        """Sync the file to disk and rename it atomically."""
-        os.fsync(self._handle)
+    def publish(self, *, sync: bool = True) -> None:
+        """Rename the file atomically; before and after that, sync it and its folder to disk unless told not to."""
+        if sync:
+            os.fsync(self._handle)
         try:
             os.replace(self.path, self.target)
         except OSError as error:  # it names the part file, which nobody knows
             raise OSError(error.errno, error.strerror, str(self.target)) from None
-        folder = os.open(self.target.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        if sync:
+            folder = os.open(self.target.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
         os.close(self._handle)
 
     def discard(self) -> None:
@@ -209,8 +211,11 @@ class Sink:
 
 
 @contextmanager
-def published(target: Path) -> Iterator[Sink]:
+def published(target: Path, *, sync: bool = True) -> Iterator[Sink]:
     """A sink for a file that gets its name if the block succeeds, and is deleted otherwise.
+
+    Without `sync` a killed process still leaves it whole or not at all, but a loss of power may leave it empty: for
+    files without which nothing is lost.
 
     Raises:
         OSError: with its errno; Busy: another process writes this very file.
@@ -219,13 +224,13 @@ def published(target: Path) -> Iterator[Sink]:
     try:
         with sink.guard():
             yield sink
-        sink.publish()
+        sink.publish(sync=sync)
     except BaseException:
         sink.discard()
         raise
 
 
-def write(target: Path, data: bytes) -> None:
-    """Write a whole file at once; raises as `published` does."""
-    with published(target) as sink:
+def write(target: Path, data: bytes, *, sync: bool = True) -> None:
+    """Write a whole file at once; raises as `published` does, and syncs as it does."""
+    with published(target, sync=sync) as sink:
         sink.write(memoryview(data))

@@ -17,7 +17,7 @@ from tacgen import array_cache, atomic_file, compiled, mechanics
 from tacgen.bundle import bundle, resume
 from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
-from tacgen.bundle.schema import finite_problem
+from tacgen.bundle.schema import as_stored, finite_problem
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.cost_note import cost_note, resolution_note
 from tacgen.mechanics.expected_error import FaceGrid, expected_force_error
@@ -78,7 +78,9 @@ def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Cl
 
 
 def _finite(found: Datasets) -> Datasets:
-    """The datasets unchanged. Raises Rejected: one of them is not finite."""
+    """The datasets as they are stored. Raises Rejected: one of them is not finite."""
+    with np.errstate(over="ignore"):  # to inf
+        found = {path: as_stored(path, values) for path, values in found.items()}
     if wrong := next(filter(None, (finite_problem(path, values) for path, values in found.items())), None):
         raise Rejected(wrong)
     return found
@@ -166,7 +168,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene 
             status, reason, done, bundles = _made(row, path, on_event, clock, solution)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
-    atomic_file.write(path.with_suffix(".timing.json"), timing.encode())
+    atomic_file.write(path.with_suffix(".timing.json"), timing.encode(), sync=False)
     return SceneResult(row.name, path, status, reason, done, seconds, bundles)
 
 

@@ -217,6 +217,30 @@ def test_the_same_recipe_and_seed_give_the_same_bytes(recipe: Path, tmp_path: Pa
     assert check(tmp_path / "one") == []
 
 
+def test_a_bundle_is_synced_before_and_after_it_has_its_name(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its times are not: without them nothing is lost, and a disk takes milliseconds for each."""
+    calls: list[tuple[str, str]] = []
+
+    def told(name: str, of: Any) -> None:
+        real = getattr(os, name)
+
+        def call(*args: Any) -> None:
+            calls.append((name, Path(of(*args)).name))
+            real(*args)
+
+        monkeypatch.setattr(os, name, call)
+
+    told("fsync", lambda handle: os.readlink(f"/proc/self/fd/{handle}"))
+    told("replace", lambda old, new: new)
+    pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
+    part, name = f"scene-00000.h5.tacgen-part-{os.getpid()}", "scene-00000.h5"
+    bundled = [("fsync", part), ("replace", name), ("fsync", "out")]
+    assert calls[-4:] == [*bundled, ("replace", "scene-00000.timing.json")]
+    assert ("fsync", "out") not in calls[:-4]
+
+
 def test_a_killed_run_leaves_an_incomplete_file_that_the_next_run_redoes(recipe: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "tacgen", "run", str(recipe), "-o", str(out), "--set", "outputs=[force, stress]"]

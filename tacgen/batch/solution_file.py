@@ -1,6 +1,7 @@
 """Solutions of scenes as files, from the process that solves many at once to those that label and write them."""
 
 import io
+import json
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -17,15 +18,19 @@ NAMES = [field.name for field in fields(State) if field.name not in LEFT_OUT]
 
 def write(path: Path, solution: SolvedScene) -> None:
     """Write a solution, in whole or not at all. Without friction, what only friction has is left out."""
-    found: dict[str, np.ndarray] = {"/engine": np.array(solution.engine), "/why": np.array(solution.why)}
-    found["/heights"] = np.array(solution.heights)
+    found: dict[str, np.ndarray] = {}
+    numbers: dict[str, list[float]] = {}  # in one text: each array of a file takes as long to read as 100 kB
     for name in NAMES if solution.states else ():
         values = [getattr(state, name) for state in solution.states]
-        if values[0] is not None:
+        if np.ndim(values[0]):
             found[name] = np.stack(values)
+        elif values[0] is not None:
+            numbers[name] = np.array(values).tolist()
+    told = {"engine": solution.engine, "why": solution.why, "heights": [*solution.heights], "numbers": numbers}
+    found["/told"] = np.array(json.dumps(told))
     written = io.BytesIO()
     np.savez(written, **found)  # type: ignore[arg-type]  # its stub takes any name for an option
-    atomic_file.write(path, written.getvalue())
+    atomic_file.write(path, written.getvalue(), sync=False)  # a new run deletes what another one has left
 
 
 def read(path: Path) -> SolvedScene | None:
@@ -33,15 +38,8 @@ def read(path: Path) -> SolvedScene | None:
     if not path.is_file():
         return None
     with np.load(path, allow_pickle=False) as found:
-        arrays = {name: found[name] for name in NAMES if name in found}
-        frames = len(arrays["index"]) if arrays else 0
-        states = [State(**{name: _at(arrays, name, k) for name in NAMES}) for k in range(frames)]
-        return SolvedScene(str(found["/engine"]), states, str(found["/why"]), tuple(found["/heights"].tolist()))
-
-
-def _at(arrays: dict[str, np.ndarray], name: str, frame: int) -> Any:
-    """A field of a frame: an array, or a plain number; None if there is none."""
-    if name not in arrays:
-        return None
-    value = arrays[name][frame]
-    return value if value.ndim else value.item()
+        told = json.loads(str(found["/told"]))
+        arrays = {name: found[name] for name in NAMES if name in found} | told["numbers"]
+    frames = range(len(arrays.get("index", ())))
+    each: list[dict[str, Any]] = [{name: arrays[name][k] if name in arrays else None for name in NAMES} for k in frames]
+    return SolvedScene(told["engine"], [State(**one) for one in each], told["why"], tuple(told["heights"]))

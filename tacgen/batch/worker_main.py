@@ -19,6 +19,7 @@ from typing import Any
 from tacgen.atomic_file import Busy
 from tacgen.errors import UserError
 
+RETURN_S = 2.0  # least time between two returns of freed memory [s]: each costs 12 ms, most of it to get it again
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # errors that all scenes would have
 
 
@@ -36,13 +37,21 @@ def main(link: Connection, parent: int) -> None:
     module, _, name = setup["task"].partition(":")
     task = getattr(importlib.import_module(module), name)
     link.send(("ready", None))
+    _work(link, task)
+
+
+def _work(link: Connection, task: Any) -> None:
+    """Answer jobs until the pipe is closed."""
+    returned = time.monotonic()
     while True:
         try:
             row, folder, overwrite = link.recv()
         except EOFError:
             return
         link.send(_outcome(task, row, folder, overwrite, link))
-        _return_memory()
+        if time.monotonic() - returned >= RETURN_S:
+            _return_memory()
+            returned = time.monotonic()
 
 
 def _outcome(task: Any, row: Any, folder: Any, overwrite: bool, link: Connection) -> tuple[str, Any]:

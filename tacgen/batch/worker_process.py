@@ -27,7 +27,7 @@ class Limits:
 
     silence_s: float = 1800.0  # longest time without a new frame
     memory_gb: float | None = None  # None: an equal share of 90 % of the machine's memory
-    scenes: int = 200  # then the worker is replaced by a new one
+    scenes: int = 1000  # then the worker is replaced, as a precaution: a new one takes 3 s of a core to start
 
 
 @dataclass

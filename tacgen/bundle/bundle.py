@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from errno import EIO
@@ -19,8 +19,8 @@ import numpy as np
 
 from tacgen import __version__, atomic_file
 from tacgen.bundle.chunks import Column, FrameReader, rounded
-from tacgen.bundle.hdf5_file import Damaged, datasets, opened
-from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, attributes, entry, shape_problem
+from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened
+from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, as_stored, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 
@@ -75,7 +75,7 @@ class Writer:
             with self._sink.guard():
                 # v110: all metadata have checksums; readable by every HDF5 since 1.10
                 self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
-                self._file.attrs.update(sorted(self._attrs.items()))
+                add_attributes(self._file.id, dict(sorted(self._attrs.items())))
         except BaseException:
             self.__exit__()
             raise
@@ -114,21 +114,27 @@ class Writer:
         whole = self.appended == self.frames
         if status not in ("ok", "rejected") or bool(reason) == whole or (status == "ok" and not self.appended):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
-        late = {"status": status, "reason": reason}
+        late: dict[str, Any] = {"status": status, "reason": reason}
         if notes:
             late["notes"] = json.dumps([*json.loads(self._attrs.get("notes", "[]")), *notes])
         self._attrs.update(late)
-        checksums = {}
+        described = {}
         with self._sink.guard():
             for path, column in self._columns.items():
                 column.finish()
-                described = column.data.dtype.str, column.data.shape, attributes(path)  # as `verify` finds them
-                checksums[path] = Dataset(*described, column.hash.hexdigest())
-            self._file.attrs.update({**late, "digest": _digest(self._attrs, checksums), "complete": True})
+                data, content = column.data, column.hash.hexdigest()
+                described[path] = Dataset(data.dtype.str, data.shape, column.attrs, content)  # as `verify` finds it
+            last = {"digest": _digest(self._attrs, described), "complete": True}
+            self._attrs.update(last)
+            self._file.attrs.update({**late, **last})
             self._file.close()
         try:
-            bundle = read(self._sink.path, part=True)
-            bundle.verify(lambda path, data: self._columns[path].stored(data))
+            with opened(self._sink.path) as file:
+                bundle = _bundle(self._sink.path, file)
+                shapes = {path: one.shape for path, one in described.items()}
+                alike = bundle.attrs == self._attrs and bundle.shapes == shapes
+                if not (alike and all(column.is_stored(file) for column in self._columns.values())):
+                    raise Damaged("its contents are not those that were written")
         except UserError as error:
             raise OSError(EIO, "what was written does not read back", str(self.path)) from error
         self._sink.publish()
@@ -139,7 +145,7 @@ class Writer:
         row = entry(path)
         if row.per_frame != per_frame:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
-        values = rounded(path, np.asarray(array).astype(row.dtype, order="C", casting="same_kind", copy=False))
+        values = rounded(path, as_stored(path, array))
         self._sizes.pop("N", None)
         known = path in self._columns and self._columns[path].shape == values.shape
         shape = (self.appended + 1, *values.shape) if per_frame else values.shape
@@ -217,16 +223,14 @@ class Bundle:
         except ValueError as error:
             raise UserError(f"{self.path}: its sensor cannot be read by this version of tacgen: {error}") from None
 
-    def verify(self, content: Callable[[str, Any], str] | None = None) -> dict[str, "Dataset"]:
-        """Compare all contents with the digest; UserError if a single bit has changed. Returns the datasets by path.
-
-        `content` gives the SHA-256 of an open dataset by its path, for a writer that knows its chunks' contents.
-        """
+    def verify(self) -> dict[str, "Dataset"]:
+        """Compare all contents with the digest; UserError if a single bit has changed. Returns the datasets by path."""
         datasets = {}
         with opened(self.path, self.group) as file:
             for path in self.shapes:
                 data = file[path[1:]]
-                datasets[path] = Dataset.of(data, content(path, data) if content else FrameReader(data).sha256())
+                attrs = {name: _plain(value) for name, value in attributes_of(data).items()}
+                datasets[path] = Dataset(data.dtype.str, data.shape, attrs, FrameReader(data).sha256())
         if _digest(self.attrs, datasets) != self.attrs["digest"]:
             raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
         return datasets
@@ -249,23 +253,28 @@ class Bundle:
         return next((shape[dims.index(axis)] for shape, dims in places if axis in dims), 0)
 
 
-def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
+def read(path: Path, group: str = "/") -> Bundle:
     """Open a finished bundle, or a scene of a shard. The data themselves are checked by `Bundle.verify`.
 
     Raises:
-        Unfinished, Damaged: it has to be written again. `part` accepts the name of a part file.
+        Unfinished, Damaged: it has to be written again.
         UserError: the file is missing, is not a bundle, or has a newer format.
     """
     path = Path(path)
-    if atomic_file.is_part(path) and not part:
+    if atomic_file.is_part(path):
         raise Unfinished(f"{path}: unfinished: part file of a writer that was stopped or is still running")
-    shapes, wrong = dict[str, tuple[int, ...]](), ""
     with opened(path, group) as file:
-        attrs = {sys.intern(name): _shared(value) for name, value in file.attrs.items()}
-        try:
-            shapes = datasets(file)
-        except ValueError as error:
-            wrong = str(error)
+        return _bundle(path, file, group)
+
+
+def _bundle(path: Path, file: Any, group: str = "/") -> Bundle:
+    """The bundle in an open group of a file; raises as `read`."""
+    attrs = {sys.intern(name): _shared(value) for name, value in attributes_of(file).items()}
+    shapes, wrong = dict[str, tuple[int, ...]](), ""
+    try:
+        shapes = datasets(file)
+    except ValueError as error:
+        wrong = str(error)
     if not isinstance(attrs.get("tacgen_format"), int):
         raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED_HINT * ("tacgen_pack" in attrs))
     if attrs["tacgen_format"] > FORMAT:
@@ -309,12 +318,6 @@ class Dataset:
     shape: tuple[int, ...]
     attrs: dict[str, Any]
     sha256: str
-
-    @classmethod
-    def of(cls, data: Any, sha256: str) -> "Dataset":
-        """The properties of an open h5py dataset, given the SHA-256 of its content."""
-        attrs = {name: _plain(value) for name, value in data.attrs.items()}
-        return cls(data.dtype.str, data.shape, attrs, sha256)
 
 
 def _digest(attrs: Mapping[str, Any], datasets: Mapping[str, Dataset]) -> str:

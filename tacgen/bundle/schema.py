@@ -102,16 +102,18 @@ def attributes(path: str) -> dict[str, str]:
     return known | ({"rounding": row.rounding} if row.rounding else {})
 
 
+def as_stored(path: str, values: np.ndarray) -> np.ndarray:
+    """Values in the type in which they are stored. Raises TypeError: of a kind that cannot be cast to it."""
+    return np.asarray(values).astype(entry(path).dtype, order="C", casting="same_kind", copy=False)
+
+
 def finite_problem(path: str, values: np.ndarray) -> str | None:
-    """Where values are inf, or nan that the layout does not allow, in the type in which they are stored; or None."""
-    row, values = entry(path), np.asarray(values)
+    """Where values as they are stored are inf, or nan that the layout does not allow; or None."""
+    row = entry(path)
     if row.dtype[1] != "f":
         return None
-    if values.dtype != row.dtype:
-        with np.errstate(over="ignore"):
-            values = values.astype(row.dtype)
-    bad = np.isinf(values) if row.nan else ~np.isfinite(values)
-    return f"{path} is not finite at {tuple(np.argwhere(bad)[0].tolist())}" if bad.any() else None
+    fine = ~np.isinf(values) if row.nan else np.isfinite(values)
+    return None if fine.all() else f"{path} is not finite at {tuple(np.argwhere(~fine)[0].tolist())}"
 
 
 def shape_problem(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:

@@ -91,7 +91,7 @@ class GelBody(Pad):
         return {"bonded": (n < -0.5) & (z < reach - self.thickness), "coated": (n > 0.5) & (z > self.top(x, y) - reach)}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SolidGel(GelBody):
     """A gel of any shape with its highest point at z = 0.
 

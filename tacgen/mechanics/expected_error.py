@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,8 +45,9 @@ class FaceGrid:
     step: float
 
     @classmethod
+    @lru_cache(maxsize=2)
     def of(cls, gel: "GelBody", step: float = 0.0) -> "FaceGrid":
-        """The face of a gel; a `step` of 0 gives POINTS points."""
+        """The face of a gel, shared by the scenes of a sensor; a grasp has two. A `step` of 0 gives POINTS points."""
         step = step or math.sqrt(gel.width * gel.height / POINTS)
         x, y = (np.arange(-size / 2, size / 2, step) for size in (gel.width, gel.height))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
@@ -61,8 +62,8 @@ class FaceGrid:
         hit = np.zeros(self.shape, bool)
         hit.flat[near] = self.inside[near] & (shape.value(placed.local(self.points[near])) < 0)
         # Crofton's formula: crossings along two directions, times pi / 4
-        crossings = sum(int((along[1:] != along[:-1]).sum()) for along in (hit, hit.T))
-        return float(hit.sum()) * self.step**2, crossings * self.step * math.pi / 4
+        crossings = np.count_nonzero(hit[1:] != hit[:-1]) + np.count_nonzero(hit[:, 1:] != hit[:, :-1])
+        return np.count_nonzero(hit) * self.step**2, crossings * self.step * math.pi / 4
 
     @cached_property
     def _blocks(self) -> tuple[Array, Array, Array]:

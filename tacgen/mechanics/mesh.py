@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise, product
 
 import numpy as np
@@ -64,10 +65,16 @@ def of(scene: Scene) -> GelMesh:
 
 def quality(gel: GelBody, mesh: GelMesh) -> dict[str, float | int | str]:
     """The quality of a gel's mesh, and its hash."""
-    vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
-    measured = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
+    measured = measure(mesh.points, mesh.cells, volume(gel))
     parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))
     return {**measured.document(), "sha256": array_cache.digest(parts)}
+
+
+@lru_cache(maxsize=2)
+def volume(gel: GelBody) -> float:
+    """Volume of a gel [mm^3]; the scenes of a sensor share it, and a grasp has two."""
+    vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
+    return enclosed(vertices, triangles)
 
 
 def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:

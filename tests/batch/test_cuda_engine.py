@@ -6,6 +6,7 @@ import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from threading import Event
@@ -262,6 +263,21 @@ def test_no_gpu_is_one_line(tmp_path: Path) -> None:
         pytest.skip("there is a GPU")
     with pytest.raises(UserError, match="finds no GPU that it can use; --engine local needs none"):
         batch.run(planned(tmp_path), tmp_path / "out", engine="cuda")
+
+
+def test_states_survive_the_file(tmp_path: Path) -> None:
+    scene = scene_of_row.build(planned(tmp_path).rows[0])
+    states = list(mechanics.states(scene, Problem.of(scene, mesh.of(scene))))
+    states = [*states, replace(states[0], residual=np.float64(np.nan), iterations=np.int64(7), unique=False)]
+    solution_file.write(tmp_path / "one.npz", SolvedScene("an engine", states, heights=(0.5, 0.25)))
+    found = solution_file.read(tmp_path / "one.npz")
+    assert (found.engine, found.heights) == ("an engine", (0.5, 0.25))
+    for state, other in zip(states, found.states, strict=True):
+        assert state.friction is None
+        for name in solution_file.NAMES:
+            value, again = getattr(state, name), getattr(other, name)
+            assert type(again) is type(value.item() if isinstance(value, np.generic) else value), name
+            np.testing.assert_array_equal(value, again)
 
 
 def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import resource
 import signal
 import time
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 from threading import Thread, current_thread, main_thread
 from typing import Any
@@ -16,9 +17,8 @@ import pytest
 from helpers.scenes import TASK, made, make, make_plan, spoil
 
 from tacgen import batch
-from tacgen.batch import Limits
+from tacgen.batch import Limits, worker_main
 from tacgen.batch.local import Pool, compiler_of
-from tacgen.batch.worker_main import _return_memory
 from tacgen.batch.worker_process import Worker
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import read_journal
@@ -51,12 +51,30 @@ def test_freed_memory_is_returned_to_the_system():
     blocks = [bytes(2000) for _ in range(50_000)]  # 100 MB
     blocks = blocks[::1000]  # one of each 2 MB is kept
     before = used()
-    _return_memory()
+    worker_main._return_memory()
     assert used() < before - 50
     assert len(blocks) == 50
 
 
 @pytest.mark.usefixtures("kept_workers")
+@pytest.mark.parametrize(("interval", "returns"), [(0.0, 3), (60.0, 0)])
+def test_memory_is_not_returned_after_each_short_scene(
+    interval: float, returns: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    returned: list[None] = []
+    monkeypatch.setattr(worker_main, "_return_memory", lambda: returned.append(None))
+    monkeypatch.setattr(worker_main, "RETURN_S", interval)
+    ours, theirs = Pipe()
+    for number in range(3):
+        ours.send((number, tmp_path, False))
+    worker = Thread(target=worker_main._work, args=(theirs, lambda row, folder, **_: row))
+    worker.start()
+    assert [ours.recv() for _ in range(3)] == [("done", 0), ("done", 1), ("done", 2)]
+    ours.close()
+    worker.join()
+    assert len(returned) == returns
+
+
 def test_shards_on_any_number_of_workers_give_what_one_process_gives(tmp_path: Path):
     serial = tmp_path / "serial"
     for row in make_plan(tmp_path).rows:

@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+import re
 import resource
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from tacgen.bundle import schema
 from tacgen.bundle.bundle import Unfinished, Writer, complete, read
 from tacgen.bundle.check import check
 from tacgen.bundle.chunks import rounded
-from tacgen.bundle.hdf5_file import Damaged
+from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of
 from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 
@@ -113,6 +114,24 @@ def test_any_hdf5_reads_it_and_every_dataset_says_what_it_is(tmp_path: Path) -> 
             np.testing.assert_array_equal(file[path][()], ours[path])
             if path.startswith(("/frames", "/fields")):
                 np.testing.assert_array_equal(file[path][7], ours.frame(path, 7))
+
+
+def test_attributes_are_stored_and_found_as_h5py_does(tmp_path: Path) -> None:
+    ours = {"text": "\N{GREEK SMALL LETTER MU}", "none": "", "count": 3, "seed": 2**64 - 1, "part": 0.5, "whole": True}
+    others = {"bytes": np.bytes_("ab"), "list": ["a", "b"], "row": np.arange(3.0), "empty": h5py.Empty("f8")}
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        add_attributes(file.id, ours)
+        kinds = {name: file.attrs.get_id(name).get_type() for name in ours}
+        assert dict(file.attrs) == ours
+        file.attrs.update(ours)
+        assert {name: file.attrs.get_id(name).get_type() for name in ours} == kinds
+        file.attrs.update(others)
+        file.attrs["no text"] = h5py.Empty(h5py.string_dtype())
+        found = attributes_of(file)
+        assert list(found) == list(file.attrs)
+        for name, value in file.attrs.items():
+            assert type(found[name]) is type(value)
+            assert found[name] is value or np.array_equal(found[name], value)
 
 
 def test_components_of_a_map_lie_apart(tmp_path: Path) -> None:
@@ -417,11 +436,22 @@ def test_a_folder_in_a_files_place_is_named_not_the_part_that_was_written(tmp_pa
     assert list(tmp_path.iterdir()) == [place]
 
 
-def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(tmp_path: Path, monkeypatch) -> None:
-    real = os.pwrite
-    monkeypatch.setattr(atomic_file.os, "pwrite", lambda h, data, at: real(h, bytes(data[:-1]) + b"\x55", at))
+@pytest.mark.parametrize(
+    ("written", "stored"),
+    [
+        (b".$", b"U"),  # of each write
+        (b"^\x78\x01..", b"\x78\x01ab"),  # a chunk
+        (b"force on the gel", b"force in the gel"),  # an attribute of a dataset
+        (b"a solver", b"o solver"),  # one of the scene
+    ],
+)
+def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: bytes, stored: bytes
+) -> None:
+    real, lies = os.pwrite, re.compile(written, re.DOTALL)
+    monkeypatch.setattr(atomic_file.os, "pwrite", lambda h, data, at: real(h, lies.sub(stored, data, 1), at))
     with pytest.raises(OSError, match="does not read back") as caught:
-        write(tmp_path / "x.h5")
+        write(tmp_path / "x.h5", solver="a solver")
     assert caught.value.errno == errno.EIO
     assert os.listdir(tmp_path) == []
     assert schema.FORMAT == 1

@@ -232,6 +232,13 @@ def test_the_files_content_is_in_the_scenes_key(tmp_path: Path) -> None:
     assert plan.load(recipe).rows[0].key != key
 
 
+def test_gels_of_the_same_size_from_two_files_have_two_volumes(tmp_path: Path) -> None:
+    """Scenes of one process share what depends on the gel alone."""
+    for profile in (KNOB, [(3.0, 0.0), *KNOB[1:]]):
+        made = scene_of_row.build(plan.load(folder(tmp_path, profile)).rows[0])
+        assert mesh.volume(made.gel) == pytest.approx(turned(profile).volume)
+
+
 def test_a_varied_depth_and_a_sensor_override(tmp_path: Path) -> None:
     recipe = folder(tmp_path)
     vary = "vary={method: grid, over: {'sensor.gel.solid.coated_deg': {choice: [30, 60]}}}"
