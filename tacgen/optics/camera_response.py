@@ -95,11 +95,12 @@ def develop(
 ) -> "NDArray[np.uint8]":
     """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given; `gain` (3,) is a
     factor on the light of each of the camera's colours."""
-    shot, read, strength, drawn = (0.0,) * 3, (0.0,) * 3, 0.0, np.zeros((1, 1, 1), np.uint16)
+    height, width, _ = radiance.shape
+    shot, read, strength, drawn = (0.0,) * 3, (0.0,) * 3, 0.0, np.zeros((1, 1), np.uint16)
     if random is not None and camera.noise is not None:
         shot, read, strength = camera.noise.shot, camera.noise.read, camera.noise.strength
-        drawn = random.integers(0, QUANTILES, radiance.shape, np.uint16)
-    grain = np.array(shot), np.array(read), strength, drawn, quantiles()
+        drawn = random.integers(0, QUANTILES, (height, 3 * width), np.uint16)
+    grain = np.tile(shot, width), np.tile(read, width), strength, drawn, quantiles()
     mix = colours(camera) if gain is None else colours(camera) * gain[:, None]
     return np.asarray(_counted(radiance, mix, vignette(camera), camera.exposure, *grain, *_steps(camera.response)))
 
@@ -128,14 +129,12 @@ def _steps(response: str) -> "tuple[Floats, NDArray[np.uint8]]":
 
 
 @njit(cache=False)
-def noisy(light: float, shot: float, read: float, strength: float, normal: float) -> float:
-    """A linear signal over full scale with white noise of variance (shot x signal + read^2) strength^2.
+def deviation(light: float, shot: float, read: float) -> float:
+    """Standard deviation of a linear signal over full scale by white noise of variance shot x signal + read^2.
 
-    The normal distribution, of which `normal` is a sample, approximates Poisson's well, since a full pixel has
-    thousands of electrons.
+    A normal distribution approximates Poisson's well, since a full pixel has thousands of electrons.
     """
-    variance = shot * min(max(light, 0.0), 1.0) + read**2
-    return light + strength * math.sqrt(variance) * normal
+    return math.sqrt(shot * min(max(light, 0.0), 1.0) + read**2)
 
 
 @njit(cache=True)
@@ -145,23 +144,23 @@ def _counted(
     counts: "NDArray[np.uint8]",
 ) -> "NDArray[np.uint8]":  # fmt: skip
     """All row by row, because a picture's temporary arrays cost more than its arithmetic; without noise, `strength` 0,
-    `drawn` is not read."""
+    `drawn` (height, 3 width) is not read."""
     height, width, _ = radiance.shape
-    out, row = np.empty((height, width, 3), np.uint8), np.empty((width, 3))
+    out, row, scatter = np.empty((height, 3 * width), np.uint8), np.empty(3 * width), np.empty(3 * width)
     for y in range(height):
         for x in range(width):
             red, green, blue = radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]
             for c in range(3):
                 light = red * mix[c, 0] + green * mix[c, 1] + blue * mix[c, 2]
-                row[x, c] = light * (exposure * fall[y, x, c])
+                row[3 * x + c] = light * (exposure * fall[y, x, c])
         if strength > 0.0:
-            for x in range(width):
-                for c in range(3):
-                    row[x, c] = noisy(row[x, c], shot[c], read[c], strength, quantiles[drawn[y, x, c]])
-        for x in range(width):
-            for c in range(3):
-                light = row[x, c] if row[x, c] > 0.0 else 0.0  # of nan, too
-                light = light if light < 1.0 else 1.0
-                cell = np.uint32(light * CELLS)
-                out[y, x, c] = counts[cell] + np.uint8(light >= steps[cell])
-    return out
+            for i in range(3 * width):  # in vectors, without the table
+                scatter[i] = strength * deviation(row[i], shot[i], read[i])
+            for i in range(3 * width):
+                row[i] += scatter[i] * quantiles[drawn[y, i]]
+        for i in range(3 * width):
+            light = row[i] if row[i] > 0.0 else 0.0  # of nan, too
+            light = light if light < 1.0 else 1.0
+            cell = np.uint32(light * CELLS)
+            out[y, i] = counts[cell] + np.uint8(light >= steps[cell])
+    return out.reshape(height, width, 3)
