@@ -66,20 +66,19 @@ class GelSurface:
 
     @cached_property
     def _nodal(self) -> Array:
-        """Displacements in x and y, positions in z and, in contact, the opening beside it and its weight, followed by
-        their slopes: (3s, 3 or 5), see CloughTocher.nodal."""
+        """Positions and, in contact, the opening beside it and its weight, followed by their slopes: (3s, 3 or 5), see
+        CloughTocher.nodal."""
         if self._contact is None:
-            return self._between.nodal(self.now - self.rest * (1.0, 1.0, 0.0))
+            return self._between.nodal(self.now)
         touched, edge = self._contact[2:]
         gap, normal = self._to_indenter(self.now)
         most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # over half of the points touch
         lies = (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
-        placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal - self.rest * (1.0, 1.0, 0.0)
+        placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal
         opening = contact_rim.openings(self.rest[:, :2], gap, lies, edge)
         nodal = self._between.nodal(placed if opening is None else np.hstack([placed, opening]))
         slopes, tangent = nodal[len(gap) :].reshape(len(gap), 2, -1), normal[lies]
-        stretch = slopes[lies, :, :2] + np.eye(2)
-        slopes[lies, :, 2] = -np.einsum("sai,si->sa", stretch, tangent[:, :2]) / tangent[:, 2:]
+        slopes[lies, :, 2] = -np.einsum("sai,si->sa", slopes[lies, :, :2], tangent[:, :2]) / tangent[:, 2:]
         return nodal
 
     def _to_indenter(self, points: Array) -> tuple[Array, Array]:
@@ -92,7 +91,7 @@ class GelSurface:
     @property
     def normals(self) -> Array:
         """Unit normals (s, 3) of the smooth face at its nodes, out of the gel."""
-        slopes = self._nodal[len(self.rest) :, :3].reshape(-1, 2, 3) + np.eye(2, 3)
+        slopes = self._nodal[len(self.rest) :, :3].reshape(-1, 2, 3)
         normal = np.cross(slopes[:, 0], slopes[:, 1])
         return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
@@ -100,15 +99,14 @@ class GelSurface:
         """Positions (n, 3) [mm] now of the points that rest at xy (n, 2) [mm]; nan outside the face."""
         xy = np.asarray(xy, dtype=float)
         found = self._between.at(xy, self._nodal)
-        moved = found[:, :3]
-        moved[:, :2] += xy
         if found.shape[1] == 3:
-            return moved
+            return found
         near = np.flatnonzero(found[:, 4] > LEAST_WEIGHT)
-        gap, normal = self._to_indenter(moved[near])
-        by = np.minimum(found[near, 4], 1.0) * (contact_rim.gaps(found[near, 3]) - gap)
-        moved[near] += np.where(np.abs(normal[:, 2]) > STEEPEST, by, 0.0)[:, None] * normal
-        return moved
+        moved, opening, weight = np.split(found[near], [3, 4], axis=1)
+        gap, normal = self._to_indenter(moved)
+        by = np.minimum(weight[:, 0], 1.0) * (contact_rim.gaps(opening[:, 0]) - gap)
+        found[near, :3] = moved + np.where(np.abs(normal[:, 2]) > STEEPEST, by, 0.0)[:, None] * normal
+        return found[:, :3]
 
 
 def seen(mesh: "GelMesh", clear: int) -> GelSurface:
