@@ -111,20 +111,23 @@ def point(hits: Hits, values: Floats, i: int) -> tuple[float, float, float]:
 
 @njit(cache=True, error_model="numpy")
 def seen(hits: Hits, facing: Floats, rest: Floats) -> tuple[Floats, Floats]:
-    """Normals (n, 3) of length 1 and rest positions (n, 2) at samples, of those at nodes (nodes, 3) and (nodes, 2)."""
+    """Normals (n, 3) of length 1 and rest positions (n, 2) at samples, of those at nodes (nodes, 3) and (nodes, 2), in
+    one pass of `blend`."""
     faces, triangle, place = hits
     normal, at_rest = np.empty((len(triangle), 3)), np.empty((len(triangle), 2))
     for i in range(len(triangle)):
-        x, y, z = point(hits, facing, i)
-        scale = 1.0 / np.sqrt(x * x + y * y + z * z)
-        normal[i, 0], normal[i, 1], normal[i, 2] = scale * x, scale * y, scale * z
         t, v, w = triangle[i], place[i, 0], place[i, 1]
         if t < 0:
-            at_rest[i, 0] = at_rest[i, 1] = np.nan
+            normal[i], at_rest[i] = np.nan, np.nan
             continue
         a, b, c, u = faces[t, 0], faces[t, 1], faces[t, 2], 1.0 - v - w
-        at_rest[i, 0] = u * rest[a, 0] + v * rest[b, 0] + w * rest[c, 0]
-        at_rest[i, 1] = u * rest[a, 1] + v * rest[b, 1] + w * rest[c, 1]
+        for k in range(2):
+            at_rest[i, k] = u * rest[a, k] + v * rest[b, k] + w * rest[c, k]
+        for k in range(3):
+            normal[i, k] = u * facing[a, k] + v * facing[b, k] + w * facing[c, k]
+        scale = 1.0 / np.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2 + normal[i, 2] ** 2)
+        for k in range(3):
+            normal[i, k] *= scale
     return normal, at_rest
 
 

@@ -68,16 +68,18 @@ def painted(
     xy: "Floats", counts: "NDArray[np.int64]", across: float, down: float, radius: float, edge: float
 ) -> "Floats":
     """Share of paint at xy (n, 2) [mm], of rows of `counts` dots; across, down: spacing in and between rows [mm]."""
-    out, last, reach = np.zeros(len(xy)), (len(counts) - 1) / 2, (radius + edge / 2) / down
+    out, last, rows = np.zeros(len(xy)), (len(counts) - 1) / 2, 1 / down
+    reach = (radius + edge / 2) * rows
     for i in range(len(xy)):
-        level = xy[i, 1] / down + last
+        level = xy[i, 1] * rows + last
         row, away2 = max(np.ceil(level - reach), 0.0), np.inf
         while row <= min(level + reach, 2 * last):  # the rows near enough
             end = (counts[int(row)] - 1) / 2
             nearest = min(max(np.rint(xy[i, 0] / across + end) - end, -end), end)
             away2 = min(away2, (xy[i, 0] - nearest * across) ** 2 + ((level - row) * down) ** 2)
             row += 1.0
-        out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0)
+        if away2 < np.inf:
+            out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0)
     return out
 
 

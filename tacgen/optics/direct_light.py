@@ -105,5 +105,7 @@ def heights(sheet: Sheet, nodes: "Floats") -> "Floats":
     """A deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where there is no gel."""
     rows, columns = sheet.shape
     scale = np.array([columns - 1, rows - 1]) / sheet.size
-    screen = (nodes[:, :2] + np.array(sheet.size) / 2) * scale + 0.5
-    return np.nan_to_num(nearest(sheet.faces, screen, nodes[:, 2].copy(), (rows, columns)), copy=False)
+    screen = nodes[:, :2] * scale + (np.array(sheet.size) / 2 * scale + 0.5)
+    found = nearest(sheet.faces, screen, nodes[:, 2].copy(), (rows, columns))
+    found[np.isnan(found)] = 0.0
+    return found
