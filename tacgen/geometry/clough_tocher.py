@@ -94,51 +94,60 @@ def _weights(
         xy: points (n, 2). number: triangle of each point (n,); -1 outside, where the weights are nan.
         points, simplices, neighbors, transform: the triangulation, as in SciPy's Delaunay.
     """
-    out, columns = np.empty((len(xy), 9)), np.empty((len(xy), 9), np.int32)
+    out, columns, last = np.empty((len(xy), 9)), np.empty((len(xy), 9), np.int32), -1
     out[:], columns[:] = np.nan, 0
     at, b, turn, corners = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 2))
-    value, inner, across, toward = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))  # Bezier ordinates
+    # Bezier ordinates of each weight's function over a triangle: at corners, beside them, inside, across the edges
+    ordinates, share = np.empty((9, 15)), np.empty(15)
     for p in range(len(xy)):
         t = number[p]
         if t < 0:
             continue
-        for k in range(3):
-            node = simplices[t, k]
-            columns[p, k], columns[p, 3 + 2 * k] = node, len(points) + 2 * node
-            columns[p, 4 + 2 * k] = columns[p, 3 + 2 * k] + 1
-            corners[k, 0], corners[k, 1] = points[node, 0], points[node, 1]
-            turn[k] = -0.5
-            beside = neighbors[t, k]
-            if beside >= 0:  # by the barycentric coordinates of the centroid of the triangle across the edge
-                x = y = 0.0
-                for i in range(3):
-                    x, y = x + points[simplices[beside, i], 0], y + points[simplices[beside, i], 1]
-                _barycentric(transform[t], x / 3, y / 3, at)
-                i, j = at[(k + 1) % 3], at[(k + 2) % 3]
-                turn[k] = (2 * j + i - 1) / (2 - 3 * (i + j))
+        if t != last:  # neighbours often share a triangle
+            last = t
+            for k in range(3):
+                corners[k, 0], corners[k, 1] = points[simplices[t, k], 0], points[simplices[t, k], 1]
+                turn[k] = -0.5
+                beside = neighbors[t, k]
+                if beside >= 0:  # by the barycentric coordinates of the centroid of the triangle across the edge
+                    x = y = 0.0
+                    for i in range(3):
+                        x, y = x + points[simplices[beside, i], 0], y + points[simplices[beside, i], 1]
+                    _barycentric(transform[t], x / 3, y / 3, at)
+                    i, j = at[(k + 1) % 3], at[(k + 2) % 3]
+                    turn[k] = (2 * j + i - 1) / (2 - 3 * (i + j))
+            for m in range(9):
+                value, toward = ordinates[m, :3], ordinates[m, 3:9]  # of corner k toward k + 1 and k + 2
+                inner, across = ordinates[m, 9:12], ordinates[m, 12:]
+                for k in range(3):
+                    value[k] = 1.0 if m == k else 0.0
+                    for n in range(2):
+                        j = (k + 1 + n) % 3
+                        slope = (corners[j, (m - 3) % 2] - corners[k, (m - 3) % 2]) / 3
+                        toward[2 * k + n] = value[k] + (slope if m >= 3 and (m - 3) // 2 == k else 0.0)
+                    inner[k] = (value[k] + toward[2 * k] + toward[2 * k + 1]) / 3
+                for k in range(3):
+                    i, j = (k + 1) % 3, (k + 2) % 3
+                    ahead, back = toward[2 * i], toward[2 * j + 1]
+                    bend = turn[k] * (3 * (ahead - back) + value[j] - value[i])
+                    across[k] = (bend - value[i] + 2 * ahead - back + inner[i] + inner[j]) / 2
         _barycentric(transform[t], xy[p, 0], xy[p, 1], at)
         c = min(at[0], at[1], at[2])  # the piece between the other two corners and the centroid
         for k in range(3):
             b[k] = at[k] - c
         c *= 3
+        for k in range(3):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            share[k], share[3 + 2 * k], share[4 + 2 * k] = b[k] ** 3, 3 * b[k] ** 2 * b[i], 3 * b[k] ** 2 * b[j]
+            share[9 + k] = c**3 / 9 + c**2 * b[k] + 3 * b[k] ** 2 * c
+            share[12 + k] = 2 * c**3 / 9 + c**2 * (b[i] + b[j]) + 6 * c * b[i] * b[j]
+            first = len(points) + 2 * simplices[t, k]
+            columns[p, k], columns[p, 3 + 2 * k], columns[p, 4 + 2 * k] = simplices[t, k], first, first + 1
         for m in range(9):
-            for i in range(3):
-                value[i] = 1.0 if m == i else 0.0
-                for j in range(3):
-                    slope = (corners[j, (m - 3) % 2] - corners[i, (m - 3) % 2]) / 3
-                    toward[i, j] = value[i] + (slope if m >= 3 and (m - 3) // 2 == i else 0.0)
-                inner[i] = (value[i] + toward[i, (i + 1) % 3] + toward[i, (i + 2) % 3]) / 3
-            for k in range(3):
-                i, j = (k + 1) % 3, (k + 2) % 3
-                bend = turn[k] * (3 * (toward[i, j] - toward[j, i]) + value[j] - value[i])
-                across[k] = (bend - value[i] + 2 * toward[i, j] - toward[j, i] + inner[i] + inner[j]) / 2
-            whole = inner[0] + inner[1] + inner[2] + 2 * (across[0] + across[1] + across[2])
-            out[p, m] = c**3 * whole / 9
-            for k in range(3):
-                i, j = (k + 1) % 3, (k + 2) % 3
-                out[p, m] += b[k] ** 3 * value[k]
-                out[p, m] += 3 * b[k] ** 2 * (b[i] * toward[k, i] + b[j] * toward[k, j] + c * inner[k])
-                out[p, m] += c**2 * b[k] * (inner[k] + across[i] + across[j]) + 6 * c * b[i] * b[j] * across[k]
+            total = 0.0
+            for n in range(15):
+                total += share[n] * ordinates[m, n]
+            out[p, m] = total
     return out, columns
 
 
