@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.geometry.thin_plate import distances, thin_plate
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -35,39 +37,19 @@ def openings(at: "Array", gap: "Array", closed: "NDArray[np.bool_]", edge: float
     Returns:
         Openings [mm^POWER] and weights from 0 to 1, (s, 2); None without a contact, or with no free nodes beside it.
     """
-    from scipy.spatial import cKDTree
-
     if not closed.any():
         return None
     closed = closed | (gap <= gap[closed].max())  # cells touch with less than half of their points there
-    away = cKDTree(at[closed]).query(at, distance_upper_bound=REACH * edge)[0] / edge  # infinite beyond
+    scaled = at / edge
+    away = distances(scaled, scaled[closed], REACH)
     beside = ~closed & (away < REACH)
     if beside.sum() < FEWEST:
         return None
     found = np.maximum(gap, 0.0) ** POWER
-    found[beside], within = thin_plate(at[beside] / edge, found[beside], at[closed] / edge, SMOOTHING)
+    found[beside], within = thin_plate(scaled[beside], found[beside], scaled[closed], SMOOTHING)
     found[closed] = np.minimum(within, 0.0)
     share = np.clip((REACH - away) / (REACH - WHOLE), 0.0, 1.0)
     return np.column_stack([found, share * share * (3 - 2 * share)])
-
-
-def thin_plate(known: "Array", values: "Array", at: "Array", smoothing: float) -> "tuple[Array, Array]":
-    """A smoothed thin-plate spline through values (n,) at known (n, 2), and its values at further points (m, 2).
-
-    It is a plane plus the sum of c_i r_i^2 log(r_i), and at the known points the values less `smoothing` c (Wahba 1990,
-    Spline Models for Observational Data, section 2.4).
-    """
-    n, middle = len(known), known.mean(axis=0)
-    places = np.concatenate([known, at]) - middle
-    square = sum(np.subtract.outer(along, along[:n]) ** 2 for along in places.T)
-    basis = np.ones((len(places), n + 3))
-    basis[:, :n] = 0.5 * square * np.log(np.maximum(square, 1e-300))
-    basis[:, n + 1 :] = places
-    system = np.zeros((n + 3, n + 3))
-    system[:n], system[n:, :n] = basis[:n], basis[:n, n:].T
-    system[range(n), range(n)] += smoothing
-    c = np.linalg.solve(system, np.append(values, np.zeros(3)))
-    return values - smoothing * c[:n], np.asarray(basis[n:] @ c)
 
 
 def gaps(opening: "Array") -> "Array":
