@@ -104,8 +104,9 @@ def _columns(sensor: "LitSensor", sheet: Sheet, untouched: Surface, pieces: int)
 def heights(sheet: Sheet, nodes: "Floats") -> "Floats":
     """A deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where there is no gel."""
     rows, columns = sheet.shape
-    scale = np.array([columns - 1, rows - 1]) / sheet.size
-    screen = nodes[:, :2] * scale + (np.array(sheet.size) / 2 * scale + 0.5)
+    screen = np.empty((len(nodes), 2))
+    for k, (side, count) in enumerate(zip(sheet.size, (columns, rows), strict=True)):
+        screen[:, k] = (nodes[:, k] + side / 2) * ((count - 1) / side) + 0.5  # exact at the rim
     found = nearest(sheet.faces, screen, nodes[:, 2].copy(), (rows, columns))
     found[np.isnan(found)] = 0.0
     return found

@@ -40,9 +40,10 @@ class Glow:
     terms: "NDArray[np.float32]"  # radiance (samples, TERMS, 3)
     untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
 
-    def at(self, normal: "Floats", index: "NDArray[np.int64]") -> "Floats":
-        """Radiance (n, 3) of a coat without markers at the samples `index` (n,), 0 where there is no gel; `normal`
-        (samples, 3) is nan there."""
+    def at(self, normal: "Floats", index: "NDArray[np.int64] | None" = None) -> "Floats":
+        """Radiance (n, 3) of a coat without markers with `normal` (samples, 3), at the samples `index` (n,), all if None;
+        0 where there is no gel, so that the normal is nan."""
+        index = np.arange(len(normal)) if index is None else index
         return np.asarray(_turned(self.terms, normal, self.untouched, index))
 
 
