@@ -39,15 +39,14 @@ def _basis(at: Floats, known: Floats) -> Floats:
 
 @njit(cache=True)
 def distances(at: Floats, to: Floats, reach: float) -> Floats:
-    """Distance (n,) from points (n, 2) to the nearest of others (m, 2), infinite beyond `reach`."""
-    out = np.full(len(at), np.inf)
-    left, right = to[:, 0].min() - reach, to[:, 0].max() + reach
-    below, above = to[:, 1].min() - reach, to[:, 1].max() + reach
+    """Distance (n,) from points (n, 2) to the nearest of others (m, 2); it may be infinite beyond twice `reach`."""
+    out, far = np.full(len(at), np.inf), 2 * reach
+    left, right = to[:, 0].min() - far, to[:, 0].max() + far
+    below, above = to[:, 1].min() - far, to[:, 1].max() + far
     for i in range(len(at)):
         x, y, least = at[i, 0], at[i, 1], np.inf
         if left <= x <= right and below <= y <= above:
             for j in range(len(to)):
                 least = min(least, (x - to[j, 0]) ** 2 + (y - to[j, 1]) ** 2)
-            if least <= reach * reach:
-                out[i] = np.sqrt(least)
+            out[i] = np.sqrt(least)
     return out

@@ -40,8 +40,7 @@ def openings(at: "Array", gap: "Array", closed: "NDArray[np.bool_]", edge: float
     if not closed.any():
         return None
     closed = closed | (gap <= gap[closed].max())  # cells touch with less than half of their points there
-    scaled = at / edge
-    away = distances(scaled, scaled[closed], REACH)
+    scaled, away = at / edge, distances(at, at[closed], REACH * edge) / edge
     beside = ~closed & (away < REACH)
     if beside.sum() < FEWEST:
         return None
