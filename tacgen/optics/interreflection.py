@@ -41,7 +41,7 @@ class Glow:
     untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
 
     def at(self, normal: "Floats", index: "NDArray[np.int64] | None" = None) -> "Floats":
-        """Radiance (n, 3) of a coat without markers with `normal` (samples, 3), at the samples `index` (n,), all if None;
+        """Radiance (n, 3) of a coat without markers with `normal` (samples, 3), at the samples `index` (n,), or at all;
         0 where there is no gel, so that the normal is nan."""
         index = np.arange(len(normal)) if index is None else index
         return np.asarray(_turned(self.terms, normal, self.untouched, index))
