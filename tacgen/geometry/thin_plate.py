@@ -37,16 +37,19 @@ def _basis(at: Floats, known: Floats) -> Floats:
     return out
 
 
-@njit(cache=True)
 def distances(at: Floats, to: Floats, reach: float) -> Floats:
     """Distance (n,) from points (n, 2) to the nearest of others (m, 2); it may be infinite beyond twice `reach`."""
-    out, far = np.full(len(at), np.inf), 2 * reach
-    left, right = to[:, 0].min() - far, to[:, 0].max() + far
-    below, above = to[:, 1].min() - far, to[:, 1].max() + far
+    return np.asarray(_distances(at, to, to.min(axis=0) - 2 * reach, to.max(axis=0) + 2 * reach))
+
+
+@njit(cache=True)
+def _distances(at: Floats, to: Floats, low: Floats, high: Floats) -> Floats:
+    """`distances` within a box from `low` to `high` (2,), else infinite."""
+    out = np.empty(len(at))
     for i in range(len(at)):
         x, y, least = at[i, 0], at[i, 1], np.inf
-        if left <= x <= right and below <= y <= above:
+        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
             for j in range(len(to)):
                 least = min(least, (x - to[j, 0]) ** 2 + (y - to[j, 1]) ** 2)
-            out[i] = np.sqrt(least)
+        out[i] = np.sqrt(least)
     return out
