@@ -1,6 +1,8 @@
 """Rasterisation of a sheet's triangles: the point of the sheet behind each sample of an image, and points that are
 hidden by another part of it."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,25 +56,35 @@ def rasterized(
             continue
         scale = 1.0 / area
         bx, by, cx, cy = scale * bx, scale * by, scale * cx, scale * cy
+        za, zb, zc = near[a], near[b], near[c]
         for j in range(top, bottom + 1):
             y = j + 0.5 - ay
+            above, below = y * cx, bx * y
             for i in range(left, right + 1):
                 x = i + 0.5 - ax
-                v, w = x * cy - y * cx, bx * y - by * x
+                v, w = x * cy - above, below - by * x
                 u = 1.0 - v - w
-                if min(u, v, w) < -1e-12:
+                if u < -1e-12 or v < -1e-12 or w < -1e-12:
                     continue
-                z = u * near[a] + v * near[b] + w * near[c]
+                z = u * za + v * zb + w * zc
                 if z < depth[j, i]:
                     depth[j, i], triangle[j, i] = z, t
                     place[j, i, 0], place[j, i, 1] = v, w
     return triangle, place, depth, least < 0.0 < most
 
 
+class Hits(NamedTuple):
+    """The point of a sheet behind each of n samples."""
+
+    faces: NDArray[np.uint32]  # node numbers of its triangles, (triangles, 3)
+    triangle: NDArray[np.int32]  # which one lies there, -1 where none does, (n,)
+    place: Floats  # weights of its second and third node, (n, 2)
+
+
 @njit(cache=True)
-def blend(faces: NDArray[np.uint32], triangle: NDArray[np.int32], place: Floats, values: Floats) -> Floats:
-    """Values (nodes, c) at samples (n,) of `hits`, whose triangles (n,) and weights (n, 2) are given: (n, c), linear on
-    triangles; nan where none lies."""
+def blend(hits: Hits, values: Floats) -> Floats:
+    """Values (nodes, c) at samples (n, c), linear on triangles; nan where none lies."""
+    faces, triangle, place = hits
     out = np.empty((len(triangle), values.shape[1]))
     for i in range(len(out)):
         t, v, w = triangle[i], place[i, 0], place[i, 1]
@@ -83,6 +95,40 @@ def blend(faces: NDArray[np.uint32], triangle: NDArray[np.int32], place: Floats,
                 a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
                 out[i, k] = (1.0 - v - w) * values[a, k] + v * values[b, k] + w * values[c, k]
     return out
+
+
+@njit(cache=False)
+def point(hits: Hits, values: Floats, i: int) -> tuple[float, float, float]:
+    """The three values (nodes, 3) at sample `i`, as in `blend`."""
+    t, v, w = hits.triangle[i], hits.place[i, 0], hits.place[i, 1]
+    if t < 0:
+        return np.nan, np.nan, np.nan
+    a, b, c, u = hits.faces[t, 0], hits.faces[t, 1], hits.faces[t, 2], 1.0 - v - w
+    x = u * values[a, 0] + v * values[b, 0] + w * values[c, 0]
+    y = u * values[a, 1] + v * values[b, 1] + w * values[c, 1]
+    return x, y, u * values[a, 2] + v * values[b, 2] + w * values[c, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def seen(hits: Hits, facing: Floats, rest: Floats) -> tuple[Floats, Floats]:
+    """Normals (n, 3) of length 1 and rest positions (n, 2) at samples, of those at nodes (nodes, 3) and (nodes, 2), in
+    one pass of `blend`."""
+    faces, triangle, place = hits
+    normal, at_rest = np.empty((len(triangle), 3)), np.empty((len(triangle), 2))
+    for i in range(len(triangle)):
+        t, v, w = triangle[i], place[i, 0], place[i, 1]
+        if t < 0:
+            normal[i], at_rest[i] = np.nan, np.nan
+            continue
+        a, b, c, u = faces[t, 0], faces[t, 1], faces[t, 2], 1.0 - v - w
+        for k in range(2):
+            at_rest[i, k] = u * rest[a, k] + v * rest[b, k] + w * rest[c, k]
+        for k in range(3):
+            normal[i, k] = u * facing[a, k] + v * facing[b, k] + w * facing[c, k]
+        scale = 1.0 / np.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2 + normal[i, 2] ** 2)
+        for k in range(3):
+            normal[i, k] *= scale
+    return normal, at_rest
 
 
 def nearest(faces: NDArray[np.uint32], screen: Floats, near: Floats, shape: tuple[int, int]) -> Floats:

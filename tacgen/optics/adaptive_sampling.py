@@ -80,6 +80,7 @@ def fill(
         The halves of those that do not: (cells, 4), as `cells`: first and last row and column.
     """
     count, left = 0, np.empty((4 * len(cells), 4), np.int64)
+    first, step = np.empty(out.shape[2]), np.empty(out.shape[2])
     for m in range(len(cells)):
         t, b, a, r = cells[m, 0], cells[m, 1], cells[m, 2], cells[m, 3]
         if b - t <= 1 and r - a <= 1:
@@ -92,14 +93,16 @@ def fill(
                     left[count, 2], left[count, 3] = centre if x == 1 else a, centre if x == 0 and centre > a else r
                     count += 1
             continue
+        down, across = 1 / (b - t), 1 / (r - a)
         for y in range(t, b + 1):
-            v = (y - t) / (b - t)
+            v = (y - t) * down
             for c in range(out.shape[2]):
-                first = (1 - v) * out[t, a, c] + v * out[b, a, c]
-                step = ((1 - v) * out[t, r, c] + v * out[b, r, c] - first) / (r - a)
-                for x in range(a, r + 1):
-                    if not known[y, x]:
-                        out[y, x, c] = first + (x - a) * step
+                first[c] = (1 - v) * out[t, a, c] + v * out[b, a, c]
+                step[c] = ((1 - v) * out[t, r, c] + v * out[b, r, c] - first[c]) * across
+            for x in range(a, r + 1):
+                if not known[y, x]:
+                    for c in range(out.shape[2]):
+                        out[y, x, c] = first[c] + (x - a) * step[c]
     return left[:count]
 
 
@@ -111,14 +114,13 @@ def bends(out: Floats, normals: Floats, t: int, b: int, a: int, r: int, bend: fl
         most = max(out[t, a, c], out[t, r, c], out[b, a, c], out[b, r, c])
         if most - least > spread * most:
             return True
+    down, across = 1 / (b - t), 1 / (r - a)
     for y in range(t, b + 1):
-        v = (y - t) / (b - t)
+        v = (y - t) * down
         for c in range(3):
             first = (1 - v) * normals[t, a, c] + v * normals[b, a, c]
-            step = ((1 - v) * normals[t, r, c] + v * normals[b, r, c] - first) / (r - a)
-            smooth = True
+            step = ((1 - v) * normals[t, r, c] + v * normals[b, r, c] - first) * across
             for x in range(a, r + 1):
-                smooth &= abs(normals[y, x, c] - (first + (x - a) * step)) <= bend
-            if not smooth:
-                return True
+                if not abs(normals[y, x, c] - (first + (x - a) * step)) <= bend:
+                    return True
     return False

@@ -105,7 +105,7 @@ class PinholeCamera:
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         stack = np.array(self.stack.thicknesses), np.array(self.stack.indices)
-        pixels = _project(points - (*self.center, 0.0), *stack, self.turn, self.focal_px, self._axis)
+        pixels = _project(points, *self.center, *stack, self.turn, self.focal_px, self._axis)
         if np.isnan(pixels).any():
             raise ValueError("a point lies at or behind the camera's pinhole")
         return np.asarray(pixels)
@@ -133,19 +133,20 @@ class PinholeCamera:
 
 @njit(cache=True, error_model="numpy")
 def _project(
-    points: "Floats", thicknesses: "Floats", indices: "Floats", turn: "Floats", focal: float, axis: "Floats"
-) -> "Floats":
-    """Pixels (n, 2) of points (n, 3) beside the pinhole's x and y; nan of one at or behind it."""
+    points: "Floats", x: float, y: float, thicknesses: "Floats", indices: "Floats", turn: "Floats", focal: float,
+    axis: "Floats",
+) -> "Floats":  # fmt: skip
+    """Pixels (n, 2) of points (n, 3) through a pinhole at x, y; nan of one at or behind it."""
     out, slope, rho = np.empty((len(points), 2)), np.empty(LANES), np.empty(LANES)
     work = np.empty((len(thicknesses) + 3, LANES))
     for start in range(0, len(points), LANES):
         some = points[start : start + LANES]
         for j in range(len(some)):
-            rho[j] = np.sqrt(some[j, 0] * some[j, 0] + some[j, 1] * some[j, 1])
+            rho[j] = np.sqrt((some[j, 0] - x) ** 2 + (some[j, 1] - y) ** 2)
         _slopes(rho, some[:, 2], thicknesses, indices, slope, work)
         for j in range(len(some)):
             ratio = slope[j] / rho[j] if rho[j] > 0.0 else 0.0
-            sx, sy = some[j, 0] * ratio, some[j, 1] * ratio
+            sx, sy = (some[j, 0] - x) * ratio, (some[j, 1] - y) * ratio
             down = sx * turn[0, 2] + sy * turn[1, 2] + turn[2, 2]
             for k in range(2):
                 pixel = focal * (sx * turn[0, k] + sy * turn[1, k] + turn[2, k]) / down + axis[k]

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-CELLS = 4096  # of the light from 0 to 1, in each of which the search for a pixel's count starts
+CELLS = 4096  # of the light from 0 to 1: fine enough for no more than one step between counts in each
+QUANTILES = 1 << 16  # of the normal distribution, from which noise is drawn
 
 
 def vignette(camera: "Camera") -> "Floats":
@@ -94,63 +95,72 @@ def develop(
 ) -> "NDArray[np.uint8]":
     """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given; `gain` (3,) is a
     factor on the light of each of the camera's colours."""
-    shot, read, strength, source = (0.0,) * 3, (0.0,) * 3, 0.0, np.random.default_rng(0)
+    height, width, _ = radiance.shape
+    shot, read, strength, drawn = (0.0,) * 3, (0.0,) * 3, 0.0, np.zeros((1, 1), np.uint16)
     if random is not None and camera.noise is not None:
-        shot, read, strength, source = camera.noise.shot, camera.noise.read, camera.noise.strength, random
-    grain = np.array(shot), np.array(read), strength, source
+        shot, read, strength = camera.noise.shot, camera.noise.read, camera.noise.strength
+        drawn = random.integers(0, QUANTILES, (height, 3 * width), np.uint16)
+    grain = np.tile(shot, width), np.tile(read, width), strength, drawn, quantiles()
     mix = colours(camera) if gain is None else colours(camera) * gain[:, None]
     return np.asarray(_counted(radiance, mix, vignette(camera), camera.exposure, *grain, *_steps(camera.response)))
 
 
+@lru_cache(maxsize=1)
+def quantiles() -> "NDArray[np.float32]":
+    """Values (QUANTILES,) of which each is as likely as any other under the normal distribution of mean 0 and variance
+    1: one of them, chosen at random, is a normal number (inverse transform sampling, Devroye 1986, section II.2)."""
+    from scipy.special import ndtri
+
+    middle = ndtri((np.arange(QUANTILES) + 0.5) / QUANTILES)
+    return np.asarray(middle / np.sqrt(np.mean(middle**2)), np.float32)
+
+
 @lru_cache(maxsize=2)
-def _steps(response: str) -> "tuple[Floats, NDArray[np.int64]]":
-    """The least light that is rounded to each count (256,) and infinity, by bisection of the curve; and the counts at
-    the lower ends of CELLS equal cells of light."""
+def _steps(response: str) -> "tuple[Floats, NDArray[np.uint8]]":
+    """The counts at the lower ends of CELLS equal cells of light from 0 on, (CELLS + 1,); and the least light that is
+    rounded to the next count, infinite for the last, by bisection of the curve."""
     count, low, most = np.arange(256), np.zeros(256), np.ones(256)
     for _ in range(80):  # halvings: a double has 53 bits, and the darkest step is above 2^-13
         middle = (low + most) / 2
         above = np.round(255.0 * _curve(middle, response)) >= count
         low, most = np.where(above, low, middle), np.where(above, middle, most)
-    return np.append(most, np.inf), np.searchsorted(most[1:], np.arange(CELLS) / CELLS, side="right")
+    first = np.searchsorted(most[1:], np.arange(CELLS + 1) / CELLS, side="right")
+    return np.append(most, np.inf)[first + 1], first.astype(np.uint8)
 
 
 @njit(cache=False)
-def noisy(light: float, shot: float, read: float, strength: float, normal: float) -> float:
-    """A linear signal over full scale with white noise of variance (shot x signal + read^2) strength^2.
+def deviation(light: float, shot: float, read: float) -> float:
+    """Standard deviation of a linear signal over full scale by white noise of variance shot x signal + read^2.
 
-    The normal distribution, of which `normal` is a sample, approximates Poisson's well, since a full pixel has
-    thousands of electrons.
+    A normal distribution approximates Poisson's well, since a full pixel has thousands of electrons.
     """
-    variance = shot * min(max(light, 0.0), 1.0) + read**2
-    return light + strength * math.sqrt(variance) * normal
+    return math.sqrt(shot * min(max(light, 0.0), 1.0) + read**2)
 
 
 @njit(cache=True)
 def _counted(
     radiance: "NDArray[np.floating]", mix: "Floats", fall: "Floats", exposure: float, shot: "Floats", read: "Floats",
-    strength: float, random: np.random.Generator, steps: "Floats", cells: "NDArray[np.int64]",
+    strength: float, drawn: "NDArray[np.uint16]", quantiles: "NDArray[np.float32]", steps: "Floats",
+    counts: "NDArray[np.uint8]",
 ) -> "NDArray[np.uint8]":  # fmt: skip
-    """All in one loop, because a picture's temporary arrays cost more than its arithmetic; without noise, `strength` 0,
-    nothing is drawn. Compiled code draws the normal numbers of `random.standard_normal(radiance.shape)`, in a third of
-    the time."""
+    """All row by row, because a picture's temporary arrays cost more than its arithmetic; without noise, `strength` 0,
+    `drawn` (height, 3 width) is not read."""
     height, width, _ = radiance.shape
-    out, normal = np.zeros((height, width, 3), np.uint8), np.zeros((width, 3))
+    out, row, scatter = np.empty((height, 3 * width), np.uint8), np.empty(3 * width), np.empty(3 * width)
     for y in range(height):
-        if strength > 0.0:
-            for x in range(width):
-                for c in range(3):
-                    normal[x, c] = random.standard_normal()
         for x in range(width):
+            red, green, blue = radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]
             for c in range(3):
-                light = radiance[y, x, 0] * mix[c, 0] + radiance[y, x, 1] * mix[c, 1] + radiance[y, x, 2] * mix[c, 2]
-                light *= exposure * fall[y, x, c]
-                if strength > 0.0:
-                    light = noisy(light, shot[c], read[c], strength, normal[x, c])
-                if light >= 1.0:
-                    out[y, x, c] = 255
-                elif light > 0.0:
-                    count = cells[int(light * CELLS)]
-                    while light >= steps[count + 1]:
-                        count += 1
-                    out[y, x, c] = count
-    return out
+                light = red * mix[c, 0] + green * mix[c, 1] + blue * mix[c, 2]
+                row[3 * x + c] = light * (exposure * fall[y, x, c])
+        if strength > 0.0:
+            for i in range(3 * width):  # in vectors, without the table
+                scatter[i] = strength * deviation(row[i], shot[i], read[i])
+            for i in range(3 * width):
+                row[i] += scatter[i] * quantiles[drawn[y, i]]
+        for i in range(3 * width):
+            light = row[i] if row[i] > 0.0 else 0.0  # of nan, too
+            light = light if light < 1.0 else 1.0
+            cell = np.uint32(light * CELLS)
+            out[y, i] = counts[cell] + np.uint8(light >= steps[cell])
+    return out.reshape(height, width, 3)

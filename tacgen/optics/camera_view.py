@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.compiled import njit
+from tacgen.geometry.rasterize import seen
 from tacgen.optics import coating, strip_light
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
-from tacgen.optics.surface_grid import Sheet, Surface, unit
+from tacgen.optics.surface_grid import Sheet, Surface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,25 +31,26 @@ class Samples(DrawnFace):
     @cached_property
     def position(self) -> "Floats":
         """[mm], (samples, 3)."""
-        return self._values(self.nodes)
+        return self.behind(self.nodes).reshape(-1, 3)
 
     @cached_property
     def normal(self) -> "Floats":
         """Unit, into the gel, (samples, 3)."""
-        return np.asarray(unit(self._values(self.facing)))
+        return self._seen[0]
 
     @cached_property
     def rest(self) -> "Floats":
         """Rest position [mm], (samples, 2)."""
-        return self._values(self.sheet.rest)
+        return self._seen[1]
 
     @cached_property
     def paint(self) -> "Floats":
         """Share of marker paint (samples, 1)."""
         return self._view.paint(self)
 
-    def _values(self, values: "Floats") -> "Floats":
-        return self.behind(values).reshape(-1, values.shape[1])
+    @cached_property
+    def _seen(self) -> "tuple[Floats, Floats]":
+        return seen(self.hits, self.facing, self.sheet.rest)
 
 
 class CameraView:
@@ -107,8 +109,7 @@ class CameraView:
         if self.markers is None:
             return np.zeros((self.shape[0] * self.shape[1], 1))
         fade = self.sensor.camera.mm_per_px / self.samples
-        share = coating.paint(self.markers, at.rest, fade)[:, np.newaxis]
-        return np.where(np.isnan(share), 0.0, share)
+        return coating.paint(self.markers, at.rest, fade)[:, np.newaxis]
 
     def picture(self, samples: "Floats") -> "Floats":
         """Means (H, W, c) over each pixel's samples (samples, c)."""

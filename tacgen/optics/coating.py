@@ -56,8 +56,8 @@ def centers(markers: "Markers") -> "Floats":
 
 
 def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
-    """Share of paint, 0 to 1, at rest positions xy (..., 2) [mm], nan where they are nan; `edge` [mm] is the width of
-    the blurred rim."""
+    """Share of paint, 0 to 1, at rest positions xy (..., 2) [mm], 0 where they are nan; `edge` [mm] is the width of the
+    blurred rim."""
     flat = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
     counts = np.array(markers.row_counts)
     return painted(flat, counts, *markers.spacing_mm, markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])
@@ -67,23 +67,19 @@ def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
 def painted(
     xy: "Floats", counts: "NDArray[np.int64]", across: float, down: float, radius: float, edge: float
 ) -> "Floats":
-    """Share of paint at xy (n, 2) [mm], of rows of `counts` dots; across, down: spacing in and between rows [mm].
-
-    Only the rows above and below a point are searched: a dot of another row is at least `down` away.
-    """
-    out, last, beyond = np.empty(len(xy)), (len(counts) - 1) / 2, (radius + edge / 2) ** 2
+    """Share of paint at xy (n, 2) [mm], of rows of `counts` dots; across, down: spacing in and between rows [mm]."""
+    out, last, rows = np.zeros(len(xy)), (len(counts) - 1) / 2, 1 / down
+    reach = (radius + edge / 2) * rows
     for i in range(len(xy)):
-        x, y = xy[i]
-        if np.isnan(x + y):
-            out[i] = np.nan
-            continue
-        above, away2 = min(max(int(np.floor(y / down + last)), 0), len(counts) - 1), np.inf
-        for row in range(above, min(above + 2, len(counts))):
-            end, aside2 = (counts[row] - 1) / 2, (y - (row - last) * down) ** 2
-            if aside2 < beyond:
-                nearest = min(max(np.rint(x / across + end) - end, -end), end)
-                away2 = min(away2, (x - nearest * across) ** 2 + aside2)
-        out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0) if away2 < beyond else 0.0
+        level = xy[i, 1] * rows + last
+        row, away2 = max(np.ceil(level - reach), 0.0), np.inf
+        while row <= min(level + reach, 2 * last):  # the rows near enough
+            end = (counts[int(row)] - 1) / 2
+            nearest = min(max(np.rint(xy[i, 0] / across + end) - end, -end), end)
+            away2 = min(away2, (xy[i, 0] - nearest * across) ** 2 + ((level - row) * down) ** 2)
+            row += 1.0
+        if away2 < np.inf:
+            out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0)
     return out
 
 

@@ -67,7 +67,7 @@ class Direct:
         def bare(index: "NDArray[np.int64]") -> "Floats":
             seen = gather(index)
             if glow is not None:
-                bounced = glow.at(at.normal[index], index) * np.isfinite(at.normal[index, 2:])
+                bounced = glow.at(at.normal, index)
                 seen[:, :3] += bounced
                 seen[:, 3:] += bounced / white if dots else 0.0
             return seen
@@ -84,11 +84,8 @@ class Direct:
         terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size, self._untouched)
         alpha = coat.roughness if coat.specular else 0.0
 
-        def gather(index: "NDArray[np.int64]") -> "Floats":
-            seen = at.behind_some(at.nodes, index), at.normal[index], self._toward[index]
-            return toward_camera(*seen, self._columns, matt, gloss, alpha, terrain) * self._seen[index, None]
-
-        return gather
+        seen = at.hits, at.nodes, at.normal, self._toward, self._seen
+        return lambda index: toward_camera(index, *seen, self._columns, matt, gloss, alpha, terrain)
 
     def _everywhere(self, light: "Light", at: Samples) -> "Floats":
         return adaptive_sampling.evaluate(light, at.normal, self.view.shape, self._tolerance)
@@ -107,6 +104,9 @@ def _columns(sensor: "LitSensor", sheet: Sheet, untouched: Surface, pieces: int)
 def heights(sheet: Sheet, nodes: "Floats") -> "Floats":
     """A deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where there is no gel."""
     rows, columns = sheet.shape
-    scale = np.array([columns - 1, rows - 1]) / sheet.size
-    screen = (nodes[:, :2] + np.array(sheet.size) / 2) * scale + 0.5
-    return np.nan_to_num(nearest(sheet.faces, screen, nodes[:, 2].copy(), (rows, columns)), copy=False)
+    screen = np.empty((len(nodes), 2))
+    for k, (side, count) in enumerate(zip(sheet.size, (columns, rows), strict=True)):
+        screen[:, k] = (nodes[:, k] + side / 2) * ((count - 1) / side) + 0.5  # exact at the rim
+    found = nearest(sheet.faces, screen, nodes[:, 2].copy(), (rows, columns))
+    found[np.isnan(found)] = 0.0
+    return found

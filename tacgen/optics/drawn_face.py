@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.geometry.rasterize import blend, hits
+from tacgen.geometry.rasterize import Hits, blend, hits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,17 +45,17 @@ class DrawnFace:
     def behind(self, values: "Floats", outermost: bool = False) -> "Floats":
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
         of what is nearest to the camera, or of what is outermost."""
-        return self._blended(values, *(self._outermost if outermost and self.folded else self._nearest)[:2])
-
-    def behind_some(self, values: "Floats", index: "NDArray[np.int64]") -> "Floats":
-        """Values (n, c) of `behind` at some samples, given by their flat indices (n,)."""
-        triangle, place, _ = self._nearest
-        return self._blended(values, triangle.ravel()[index], place.reshape(-1, 2)[index])
-
-    def _blended(self, values: "Floats", triangle: "NDArray[np.int32]", place: "Floats") -> "Floats":
+        triangle, place, _ = self._outermost if outermost and self.folded else self._nearest
         values = np.ascontiguousarray(values)  # `blend` would be compiled again for another memory layout
-        made = blend(self.sheet.faces, triangle.ravel(), place.reshape(-1, 2), values)
-        return np.asarray(made.reshape(*triangle.shape, -1))
+        return blend(self._behind(triangle, place), values).reshape(*triangle.shape, -1)
+
+    @property
+    def hits(self) -> Hits:
+        """The nearest triangles behind the samples, row by row."""
+        return self._behind(*self._nearest[:2])
+
+    def _behind(self, triangle: "NDArray[np.int32]", place: "Floats") -> Hits:
+        return Hits(self.sheet.faces, triangle.ravel(), place.reshape(-1, 2))
 
     @cached_property
     def _nearest(self) -> "tuple[NDArray[np.int32], Floats, bool]":

@@ -40,22 +40,28 @@ class Glow:
     terms: "NDArray[np.float32]"  # radiance (samples, TERMS, 3)
     untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
 
-    def at(self, normal: "Floats", index: "NDArray[np.int64] | slice" = slice(None)) -> "Floats":
-        """Radiance (n, 3) of a coat without markers, with normals (n, 3) at the samples `index`."""
-        return np.asarray(_turned(self.terms[index], normal, self.untouched[index]))
+    def at(self, normal: "Floats", index: "NDArray[np.int64] | None" = None) -> "Floats":
+        """Radiance (n, 3) of a coat without markers with `normal` (samples, 3), at the samples `index` (n,), or at all;
+        0 where there is no gel, so that the normal is nan."""
+        index = np.arange(len(normal)) if index is None else index
+        return np.asarray(_turned(self.terms, normal, self.untouched, index))
 
 
 @njit(cache=True)
-def _turned(terms: "NDArray[np.float32]", normal: "Floats", untouched: "Floats") -> "Floats":
-    """Glow.at, of terms (n, TERMS, 3), normals (n, 3) and the sideways parts of untouched ones (n, 2)."""
-    out = np.empty((len(normal), 3))
-    for i in range(len(normal)):
-        dx, dy = normal[i, 0] - untouched[i, 0], normal[i, 1] - untouched[i, 1]
-        dx = 0.0 if np.isnan(dx) else min(max(dx, -1.5 * TILT), 1.5 * TILT)
-        dy = 0.0 if np.isnan(dy) else min(max(dy, -1.5 * TILT), 1.5 * TILT)
+def _turned(
+    terms: "NDArray[np.float32]", normal: "Floats", untouched: "Floats", index: "NDArray[np.int64]"
+) -> "Floats":
+    """Glow.at, of terms (samples, TERMS, 3) and the sideways parts of untouched normals (samples, 2)."""
+    out = np.zeros((len(index), 3))
+    for k in range(len(index)):
+        i = index[k]
+        if np.isnan(normal[i, 2]):
+            continue
+        dx = min(max(normal[i, 0] - untouched[i, 0], -1.5 * TILT), 1.5 * TILT)
+        dy = min(max(normal[i, 1] - untouched[i, 1], -1.5 * TILT), 1.5 * TILT)
         for c in range(3):
             one, x, y, xx, yy = terms[i, 0, c], terms[i, 1, c], terms[i, 2, c], terms[i, 3, c], terms[i, 4, c]
-            out[i, c] = max(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0)
+            out[k, c] = max(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0)
     return out
 
 

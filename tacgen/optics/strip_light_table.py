@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.compiled import njit
+from tacgen.geometry.rasterize import Hits, point
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.shadows import SUMS, Terrain, horizon
 from tacgen.optics.strip_light import (
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
+Single = np.float32
 
 LATERAL_STEP = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
 PLACE, NEAR = (0.2, 0.4), 0.15  # smallest and largest spacing of positions [mm]; spacing over the strips' distance [-]
@@ -59,9 +61,9 @@ class Columns(NamedTuple):
     strip: NDArray[np.int64]  # which LED, (columns,)
     lowest: Floats  # corner of the table [mm], (3,): x, y, z
     step: Floats  # between its entries [mm], (3,)
-    # Of each column per unit radiance X, Y, Z and HALF of its direct light, and FIELDS later those of the reflected;
-    # then of each column the slope up to which the untouched face lets light pass.
-    light: Singles  # (heights, rows, columns of places, (2 FIELDS + 1) x columns), field by field
+    # X of each column's direct light per unit radiance and then of its reflected; likewise Y, Z and HALF; then of each
+    # column the slope up to which the untouched face lets light pass.
+    light: Singles  # (heights, rows, columns of places, (2 FIELDS + 1) x columns)
     mirror: float  # height of the plate's air face [mm]
 
     @classmethod
@@ -198,8 +200,8 @@ def column_light(
                 for i in range(len(z)):
                     height = (2 * slab.bottoms[0] if image == 1 else 2 * z[i]) - middle[c, 2] - z[i]
                     for m in (X, Y, Z):
-                        out[i, s, c, FIELDS * image + m] = light[image, m, i] * (away2 + height * height)
-                    out[i, s, c, FIELDS * image + HALF] = light[image, HALF, i]
+                        out[i, s, c, 2 * m + image] = light[image, m, i] * (away2 + height * height)
+                    out[i, s, c, 2 * HALF + image] = light[image, HALF, i]
     return out
 
 
@@ -229,43 +231,51 @@ def untouched_horizons(places: Floats, z: Floats, middle: Floats, untouched: Ter
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
 def toward_camera(
-    p: Floats,
-    n: Floats,
-    view: Floats,
+    index: NDArray[np.int64],
+    hits: Hits,
+    nodes: Floats,
+    normals: Floats,
+    views: Floats,
+    passed: Floats,
     columns: Columns,
     matt: Floats,
     gloss: Floats,
     alpha: float,
     terrain: Terrain,
 ) -> Floats:
-    """Radiance toward the camera: (samples, c), 0 where there is no gel.
+    """Radiance at the camera of some samples (n,) of a picture, given by their `index`: (n, c), 0 where there is no
+    gel.
 
     Args:
-        p, n, view: points, normals and directions to the camera (samples, 3), as in strip_light.gather.
+        index: see above.
+        hits: the triangles of a sheet behind all samples; nodes: the sheet's positions [mm], (nodes, 3).
+        normals, views: of all samples, into the gel and toward the camera there, unit vectors (samples, 3).
+        passed: share of the radiance in the gel that reaches the camera (samples,).
         columns: the light.
         matt, gloss: what each strip (strips, c) adds by a white Lambertian coat and by a rough mirror.
         alpha: the mirror's roughness; 0 leaves it out.
         terrain: what has receded since the face was untouched.
     """
     middle, strip, lowest, step, light, mirror = columns
-    out, count = np.zeros((len(p), matt.shape[1])), len(middle)
-    got, bundle = np.empty(light.shape[3], np.float32), np.empty((2, 4, count))
-    for s in range(len(p)):
-        x, y, z = p[s, 0], p[s, 1], p[s, 2]
+    out, count = np.zeros((len(index), matt.shape[1])), len(middle)
+    got, bundle = np.empty(light.shape[3], np.float32), np.empty((4, 2 * count), np.float32)
+    for s in range(len(index)):
+        at = index[s]
+        x, y, z = point(hits, nodes, at)
         if np.isnan(x):
             continue
-        nx, ny, nz = n[s, 0], n[s, 1], min(n[s, 2], STEEP)
-        vx, vy, vz = view[s, 0], view[s, 1], view[s, 2]
-        ci = max(nx * vx + ny * vy + n[s, 2] * vz, 0.05)
+        nx, ny, nz = normals[at, 0], normals[at, 1], min(normals[at, 2], STEEP)
+        vx, vy, vz = views[at, 0], views[at, 1], views[at, 2]
+        ci = max(nx * vx + ny * vy + normals[at, 2] * vz, 0.05)
         trilinear(light, (x - lowest[0]) / step[0], (y - lowest[1]) / step[1], (z - lowest[2]) / step[2], got)
-        incident(got, nx, ny, nz, bundle)
+        incident(got, np.float32(nx), np.float32(ny), np.float32(nz), bundle)
         for c in range(count):
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             free = np.float64(got[2 * FIELDS * count + c])
-            above = bundle[0, LOW, c], min(bundle[0, HIGH, c], free)
-            below = bundle[1, LOW, c], min(bundle[1, HIGH, c], free)
-            lit = bundle[0, SIDE, c] > 0.0 and above[0] < above[1], bundle[1, SIDE, c] > 0.0 and below[0] < below[1]
+            above = np.float64(bundle[LOW, c]), min(np.float64(bundle[HIGH, c]), free)
+            below = np.float64(bundle[LOW, count + c]), min(np.float64(bundle[HIGH, count + c]), free)
+            lit = bundle[SIDE, c] > 0.0 and above[0] < above[1], bundle[SIDE, count + c] > 0.0 and below[0] < below[1]
             if not (lit[0] or lit[1]):
                 continue
             above = above if lit[0] else below
@@ -273,22 +283,23 @@ def toward_camera(
             edge = min(horizon(terrain, x, y, z, dx / rho, dy / rho, rho, above, below), free)
             white, bright = 0.0, 0.0
             for image in range(2):
-                low, top = bundle[image, LOW, c], min(edge, bundle[image, HIGH, c])
+                k = image * count + c
+                low, top = np.float64(bundle[LOW, k]), min(edge, np.float64(bundle[HIGH, k]))
                 if not lit[image] or top <= low:
                     continue
                 rise = 2 * mirror - middle[c, 2] - z if image else middle[c, 2] - z
-                side = bundle[image, SIDE, c] * (top - low) / (rho * rho + rise * rise)
+                side = bundle[SIDE, k] * (top - low) / (rho * rho + rise * rise)
                 seen = 0.5 * (top + low)  # mean slope of what is seen of the column
-                turn = bundle[image, TURN, c]
+                turn = np.float64(bundle[TURN, k])
                 white -= side * nz * (turn - seen)
                 if alpha > 0.0:
                     spread = (top - low) / np.sqrt(12.0)
-                    for at in (seen - spread, seen + spread):  # Gauss's points
-                        long = np.sqrt(1.0 + at * at)
-                        toward = ((vx * dx + vy * dy) / rho + vz * at) / long
-                        bright += 0.5 * side * long * ggx(toward, ci, -nz * (turn - at) / long, alpha)
+                    for steep in (seen - spread, seen + spread):  # Gauss's points
+                        long = np.sqrt(1.0 + steep * steep)
+                        toward = ((vx * dx + vy * dy) / rho + vz * steep) / long
+                        bright += 0.5 * side * long * ggx(toward, ci, -nz * (turn - steep) / long, alpha)
             for m in range(matt.shape[1]):
-                out[s, m] += white / np.pi * matt[strip[c], m] + bright * gloss[strip[c], m]
+                out[s, m] += passed[at] * (white / np.pi * matt[strip[c], m] + bright * gloss[strip[c], m])
     return out
 
 
@@ -312,18 +323,15 @@ def trilinear(table: Singles, u: float, v: float, w: float, out: Singles) -> Non
 
 
 @njit(cache=False, error_model="numpy", fastmath=SUMS)
-def incident(got: Singles, nx: float, ny: float, nz: float, out: Floats) -> None:
+def incident(got: Singles, nx: Single, ny: Single, nz: Single, out: Singles) -> None:
     """Light of the columns on a point of the face with this normal, each in the vertical plane of its irradiance
-    vector: `out` (2, 4, columns) of the direct light and of the reflected, from fields (2 FIELDS + 1, columns)."""
-    count = out.shape[2]
-    for image in range(2):
-        first = FIELDS * image * count
-        for c in range(count):
-            ex, ey = np.float64(got[first + X * count + c]), np.float64(got[first + Y * count + c])
-            ez, half = np.float64(got[first + Z * count + c]), np.float64(got[first + HALF * count + c])
-            side = np.sqrt(ex * ex + ey * ey)
-            each = 1.0 / max(side, 1e-30)
-            slope, turn = ez * each, -(nx * ex + ny * ey) * each / nz
-            out[image, SIDE, c] = side / (2 * half)
-            out[image, LOW, c], out[image, HIGH, c] = slope - half, min(slope + half, turn)
-            out[image, TURN, c] = turn
+    vector: `out` (4, 2 columns) of the direct light and then of the reflected, from Columns.light there."""
+    both, one, none = out.shape[1], np.float32(1.0), np.float32(1e-30)
+    for c in range(both):
+        ex, ey, ez, half = got[X * both + c], got[Y * both + c], got[Z * both + c], got[HALF * both + c]
+        side = np.sqrt(ex * ex + ey * ey)
+        each = one / max(side, none)
+        slope, turn = ez * each, -(nx * ex + ny * ey) * each / nz
+        out[SIDE, c] = side / (half + half)
+        out[LOW, c], out[HIGH, c] = slope - half, min(slope + half, turn)
+        out[TURN, c] = turn

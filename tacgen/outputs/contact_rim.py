@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.geometry.thin_plate import distances, thin_plate
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -35,25 +37,21 @@ def openings(at: "Array", gap: "Array", closed: "NDArray[np.bool_]", edge: float
     Returns:
         Openings [mm^POWER] and weights from 0 to 1, (s, 2); None without a contact, or with no free nodes beside it.
     """
-    from scipy.interpolate import RBFInterpolator
-    from scipy.spatial import cKDTree
-
     if not closed.any():
         return None
     closed = closed | (gap <= gap[closed].max())  # cells touch with less than half of their points there
-    away = cKDTree(at[closed]).query(at)[0] / edge
+    scaled, away = at / edge, distances(at, at[closed], REACH * edge) / edge
     beside = ~closed & (away < REACH)
     if beside.sum() < FEWEST:
         return None
-    opening = np.maximum(gap, 0.0) ** POWER
-    spline = RBFInterpolator(at[beside] / edge, opening[beside], kernel="thin_plate_spline", smoothing=SMOOTHING)
-    near = beside | closed
-    opening[near] = spline(at[near] / edge)
-    opening[closed] = np.minimum(opening[closed], 0.0)
+    found = np.maximum(gap, 0.0) ** POWER
+    found[beside], within = thin_plate(scaled[beside], found[beside], scaled[closed], SMOOTHING)
+    found[closed] = np.minimum(within, 0.0)
     share = np.clip((REACH - away) / (REACH - WHOLE), 0.0, 1.0)
-    return np.column_stack([opening, share * share * (3 - 2 * share)])
+    return np.column_stack([found, share * share * (3 - 2 * share)])
 
 
 def gaps(opening: "Array") -> "Array":
     """Gap (n,) [mm] of openings (n,); 0 within the contact."""
-    return np.asarray(np.maximum(opening, 0.0) ** (1 / POWER))
+    opening = np.maximum(opening, 0.0)
+    return np.asarray(opening * np.sqrt(opening))  # to the power 1 / POWER, in a tenth of the time

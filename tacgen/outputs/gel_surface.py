@@ -66,34 +66,20 @@ class GelSurface:
 
     @cached_property
     def _nodal(self) -> Array:
-        """Displacements in x and y, positions in z, and their slopes (see CloughTocher.nodal)."""
+        """Positions and, in contact, the opening beside it and its weight, followed by their slopes: (3s, 3 or 5), see
+        CloughTocher.nodal."""
         if self._contact is None:
-            return self._between.nodal(self.now - self.rest * (1.0, 1.0, 0.0))
-        (gap, normal, lies), s = self._touching, len(self.rest)
-        placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal
-        nodal = self._between.nodal(placed - self.rest * (1.0, 1.0, 0.0))
-        slopes, tangent = nodal[s:].reshape(s, 2, 3), normal[lies]
-        stretch = slopes[lies, :, :2] + np.eye(2)
-        slopes[lies, :, 2] = -np.einsum("sai,si->sa", stretch, tangent[:, :2]) / tangent[:, 2:]
-        return nodal
-
-    @cached_property
-    def _touching(self) -> tuple[Array, Array, Array]:
-        """Gap (s,) [mm] of the nodes, unit normals (s, 3) of the indenter there, and the nodes that lie on it (s,)."""
-        assert self._contact is not None
+            return self._between.nodal(self.now)
+        touched, edge = self._contact[2:]
         gap, normal = self._to_indenter(self.now)
-        touched = self._contact[2]
         most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # over half of the points touch
-        return gap, normal, (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
-
-    @cached_property
-    def _opening(self) -> Array | None:
-        """Opening beside the contact and its weight, and their slopes (see CloughTocher.nodal)."""
-        if self._contact is None:
-            return None
-        gap, _, lies = self._touching
-        found = contact_rim.openings(self.rest[:, :2], gap, lies, self._contact[3])
-        return None if found is None else self._between.nodal(found)
+        lies = (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
+        placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal
+        opening = contact_rim.openings(self.rest[:, :2], gap, lies, edge)
+        nodal = self._between.nodal(placed if opening is None else np.hstack([placed, opening]))
+        slopes, tangent = nodal[len(gap) :].reshape(len(gap), 2, -1), normal[lies]
+        slopes[lies, :, 2] = -np.einsum("sai,si->sa", slopes[lies, :, :2], tangent[:, :2]) / tangent[:, 2:]
+        return nodal
 
     def _to_indenter(self, points: Array) -> tuple[Array, Array]:
         """Gap (n,) [mm] from points (n, 3) [mm] to the indenter, and its unit normals (n, 3) there."""
@@ -105,24 +91,22 @@ class GelSurface:
     @property
     def normals(self) -> Array:
         """Unit normals (s, 3) of the smooth face at its nodes, out of the gel."""
-        slopes = self._nodal[len(self.rest) :].reshape(-1, 2, 3) + np.eye(2, 3)
+        slopes = self._nodal[len(self.rest) :, :3].reshape(-1, 2, 3)
         normal = np.cross(slopes[:, 0], slopes[:, 1])
         return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
     def at(self, xy: Array) -> Array:
         """Positions (n, 3) [mm] now of the points that rest at xy (n, 2) [mm]; nan outside the face."""
         xy = np.asarray(xy, dtype=float)
-        if self._opening is None:
-            moved = self._between.at(xy, self._nodal)
-            moved[:, :2] += xy
-            return moved
-        moved, opening, weight = np.split(self._between.at(xy, np.hstack([self._nodal, self._opening])), [3, 4], axis=1)
-        moved[:, :2] += xy
-        near = np.flatnonzero(weight[:, 0] > LEAST_WEIGHT)
-        gap, normal = self._to_indenter(moved[near])
-        by = np.minimum(weight[near, 0], 1.0) * (contact_rim.gaps(opening[near, 0]) - gap)
-        moved[near] += np.where(np.abs(normal[:, 2]) > STEEPEST, by, 0.0)[:, None] * normal
-        return moved
+        found = self._between.at(xy, self._nodal)
+        if found.shape[1] == 3:
+            return found
+        near = np.flatnonzero(found[:, 4] > LEAST_WEIGHT)
+        moved, opening, weight = np.split(found[near], [3, 4], axis=1)
+        gap, normal = self._to_indenter(moved)
+        by = np.minimum(weight[:, 0], 1.0) * (contact_rim.gaps(opening[:, 0]) - gap)
+        found[near, :3] = moved + np.where(np.abs(normal[:, 2]) > STEEPEST, by, 0.0)[:, None] * normal
+        return found[:, :3]
 
 
 def seen(mesh: "GelMesh", clear: int) -> GelSurface:

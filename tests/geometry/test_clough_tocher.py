@@ -27,6 +27,13 @@ def test_values_are_those_of_scipy(points: np.ndarray) -> None:
     assert between.at(at, between.nodal(2 * f)) == pytest.approx(2 * found, abs=1e-11, nan_ok=True)  # and used again
 
 
+def test_many_columns_are_what_each_is_alone() -> None:
+    between, at, values = CloughTocher(GRID), RNG.uniform(-2, 2, (200, 2)), RNG.normal(size=(len(GRID), 7))
+    nodal = between.nodal(values)
+    alone = [between.at(at, np.ascontiguousarray(nodal[:, [k]])) for k in range(7)]
+    assert np.array_equal(between.at(at, nodal), np.hstack(alone), equal_nan=True)
+
+
 def test_two_read_only_arrays_have_their_own_matrices() -> None:
     between = CloughTocher(GRID)
     for at in (RNG.uniform(-1, 1, (9, 2)) for _ in range(20)):

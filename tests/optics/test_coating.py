@@ -52,8 +52,9 @@ def test_paint_is_that_of_the_nearest_dot(rings: int):
     xy = np.random.default_rng(0).uniform(-reach, reach, (20_000, 2))
     xy[0] = np.nan
     away = np.linalg.norm(xy[:, None] - coating.centers(markers), axis=-1).min(axis=1)
-    expected = np.clip((0.95 - away) / 0.2 + 0.5, 0, 1)
-    assert coating.paint(markers, xy, 0.2) == pytest.approx(expected, abs=1e-12, nan_ok=True)
+    for edge in (0.2, 1.5):  # of the wide one neighbouring dots' rims overlap
+        expected = np.nan_to_num(np.clip((0.95 - away) / edge + 0.5, 0, 1))  # none beside the gel
+        assert coating.paint(markers, xy, edge) == pytest.approx(expected, abs=1e-12)
     picture = coating.mask(markers, (2 * reach, 2 * reach), 0.02)
     assert picture.mean() * 4 * reach**2 == pytest.approx(len(coating.centers(markers)) * np.pi * 0.95**2, rel=5e-3)
 

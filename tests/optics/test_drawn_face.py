@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
+from tacgen.geometry.rasterize import point, seen
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
-from tacgen.optics.surface_grid import Sheet, Untouched
+from tacgen.optics.surface_grid import Sheet, Untouched, unit
 
 TINY = sensor()
 CAMERA, SHEET = PinholeCamera.from_sensor(TINY), Sheet.over(TINY.gel, 0.2)
@@ -50,10 +51,16 @@ def test_only_a_face_that_tilts_over_is_folded(lean: float, folded: bool):
     assert np.nanmin(outermost - nearest) >= 0
 
 
-def test_some_samples_show_what_all_do():
-    drawn, index = DrawnFace(SHEET, Wave(1.0), CAMERA, 2), np.array([0, 7, 2345, 5119])
+def test_single_samples_and_normals_are_those_of_the_whole():
+    narrow = CAMERA.__class__(CAMERA.stack, CAMERA.center, CAMERA.focal_px / 2, CAMERA.shape)  # sees beside the gel
+    drawn = DrawnFace(SHEET, Wave(1.0), narrow, 2)
     whole = drawn.behind(drawn.nodes).reshape(-1, 3)
-    assert np.array_equal(drawn.behind_some(drawn.nodes, index), whole[index], equal_nan=True)
+    assert 0 < np.isnan(whole).sum() < whole.size / 2 * 1.9
+    each = [point(drawn.hits, drawn.nodes, i) for i in range(len(whole))]
+    assert np.array_equal(each, whole, equal_nan=True)
+    normal, rest = seen(drawn.hits, drawn.facing, SHEET.rest)
+    assert normal == pytest.approx(unit(drawn.behind(drawn.facing).reshape(-1, 3)), abs=1e-15, nan_ok=True)
+    assert np.array_equal(rest, drawn.behind(SHEET.rest).reshape(-1, 2), equal_nan=True)
 
 
 def test_an_untouched_dome_is_not_folded():

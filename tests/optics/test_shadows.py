@@ -124,6 +124,15 @@ def test_only_what_has_drawn_back_shades_anew():
     assert horizon(Terrain.of(before, (10.0, 10.0), before), *ray) == EVER[1]
 
 
+def test_heights_are_0_where_there_is_no_gel():
+    gel = sensor().gel
+    sheet = Sheet.over(gel, 0.2)
+    found = heights(sheet, sheet.at(Untouched.of(gel)) * [0.5, 0.5, 1.0] - [0.0, 0.0, 1.0])
+    rows, columns = sheet.shape
+    assert found[rows // 2, columns // 2] == pytest.approx(-1.0, abs=0.2)
+    assert set(found[0]) | set(found[:, -1]) == {0.0}
+
+
 def test_the_box_of_what_casts_shadows_loses_none():
     rng, size = np.random.default_rng(5), (9.0, 12.0)
     y, x = np.mgrid[-6:6:121j, -4.5:4.5:91j]

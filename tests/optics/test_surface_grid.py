@@ -5,7 +5,7 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.geometry.outline import Pad
-from tacgen.geometry.rasterize import blend, hits, nearest
+from tacgen.geometry.rasterize import Hits, blend, hits, nearest
 from tacgen.optics import adaptive_sampling
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
@@ -44,7 +44,8 @@ def test_drawing_interpolates_linearly_and_keeps_the_nearest():
     faces = np.concatenate([SHEET.faces, SHEET.faces + len(nodes)])
     at, near = np.tile(screen, (2, 1)), np.repeat([1.0, 2.0], len(nodes))
     triangle, place, both = hits(faces, at, near, (40, 50))
-    out = blend(faces, triangle.ravel(), place.reshape(-1, 2), np.concatenate([value, value * 0])).reshape(40, 50)
+    found = Hits(faces, triangle.ravel(), place.reshape(-1, 2))
+    out = blend(found, np.concatenate([value, value * 0])).reshape(40, 50)
     y, x = np.mgrid[:40, :48] + 0.5
     assert out[:, :48] == pytest.approx(2 * (x / 4 - 6) - (y / 4 - 5), abs=1e-9)
     assert np.isnan(out[:, 48:]).all()
@@ -67,6 +68,10 @@ def test_sparse_light_is_exact_where_it_bends_and_close_elsewhere():
     assert out == pytest.approx(full, rel=2e-3)
     assert len(np.concatenate(asked)) < 0.75 * h * w
     assert len(np.unique(np.concatenate(asked))) == len(np.concatenate(asked))
+    asked.clear()
+    normals.reshape(h, w, 3)[18, 22] = np.nan  # one sample beside the gel
+    adaptive_sampling.evaluate(light, normals, (h, w), adaptive_sampling.SamplingTolerance(4, 1.5e-3, 9.0))
+    assert 18 * w + 22 in np.concatenate(asked)
 
 
 def test_a_dent_is_smooth_at_its_contact_circle_and_found_again_from_its_picture():
