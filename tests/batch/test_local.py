@@ -6,6 +6,8 @@ import json
 import os
 import resource
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from multiprocessing import Pipe
@@ -41,6 +43,34 @@ def digests(folder: Path) -> dict[str, str]:
 def leftovers(folder: Path) -> list[str]:
     known = (".h5", ".json", ".jsonl", ".log")
     return [path.name for path in folder.iterdir() if path.is_file() and not path.name.endswith(known)]
+
+
+FAULTS = """
+import resource
+import numpy as np
+from tacgen.batch import worker_main
+if {kept}:
+    worker_main._keep_freed_memory()
+def use():
+    arrays = [np.ones(900_000) for _ in range(4)]
+for _ in range(2):
+    use()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(20):
+    use()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of glibc")
+def test_a_workers_memory_does_not_come_back_page_by_page() -> None:
+    """Arrays of 29 MB in all are used again and again."""
+    often, rarely = (
+        int(subprocess.run([sys.executable, "-c", FAULTS.format(kept=kept)], capture_output=True, check=True).stdout)
+        for kept in (False, True)
+    )
+    assert rarely < 1000
+    assert often > 20_000
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="needs glibc")
