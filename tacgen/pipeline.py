@@ -362,6 +362,8 @@ def compile_labels(row: Row, folder: Path, **_: Any) -> None:
     """Compile what a scene's pictures and maps need, while another process compiles the solver; nothing is written."""
     from threadpoolctl import threadpool_limits
 
+    from tacgen.outputs import contact_rim
+
     with threadpool_limits(1, user_api="blas"):
         built = scene_of_row.build(row)
         shared = _shared(row, built, mechanics.Problem.of(built, mesh.of(built)))
@@ -373,6 +375,8 @@ def compile_labels(row: Row, folder: Path, **_: Any) -> None:
                 shared.pictures.radiance(moved)
         with compiled.once(_maps(row)):
             shared.drawn(moved).normals()
+            far = np.arange(40.0)
+            contact_rim.openings(np.column_stack([np.cos(far), far, far])[:, :2], far, far < 10, 10.0)
             if row.recipe.outputs & STRESS:
                 shared.stresses.at(dented, shared.problem.elastic)
 
