@@ -375,7 +375,7 @@ def compile_labels(row: Row, folder: Path, **_: Any) -> None:
                 shared.pictures.radiance(moved)
         with compiled.once(_maps(row)):
             shared.drawn(moved).normals()
-            far = np.arange(40.0)
+            far = np.arange(40.0)  # of some points, to compile what draws the rim of a contact
             contact_rim.openings(np.column_stack([np.cos(far), far, far])[:, :2], far, far < 10, 10.0)
             if row.recipe.outputs & STRESS:
                 shared.stresses.at(dented, shared.problem.elastic)

@@ -133,13 +133,21 @@ def _pivots(W, D, POSITIVE, at, n, block, row, SIZE: tl.constexpr):
     tl.store(POSITIVE + which, tl.load(POSITIVE + which, mask=at > 0, other=1) & positive)
 
 
+@triton.jit
+def _columns(tile, at, n, width, later, SIZE: tl.constexpr):
+    """The first column of a tile, `later` of which are of A behind the block at `at`, all others of B; and where it
+    ends."""
+    in_A = tile < later
+    return tl.where(in_A, at + SIZE * (1 + tile), n + SIZE * (tile - later)), tl.where(in_A, n, width)
+
+
 @triton.jit(do_not_specialize=SIZES)
 def _pivot_rows(W, D, at, n, width, later, block, row, SIZE: tl.constexpr):
     """Rows from `at` on times that, in the columns of A behind it, which are `later` tiles, and in those of B."""
-    which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
+    which = tl.program_id(0).to(tl.int64)
     i, each = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    j = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later)) + each
-    place, inside = W + which * block + (at + i) * row + j, (at + i < n) & (j < tl.where(tile < later, n, width))
+    start, limit = _columns(tl.program_id(1), at, n, width, later, SIZE)
+    place, inside = W + which * block + (at + i) * row + start + each, (at + i < n) & (start + each < limit)
     rows, X = tl.load(place, mask=inside, other=0.0), tl.load(D + which * SIZE * SIZE + i * SIZE + each)
     tl.store(place, tl.dot(X, rows, input_precision=PRECISION), mask=inside)
 
@@ -147,12 +155,11 @@ def _pivot_rows(W, D, at, n, width, later, block, row, SIZE: tl.constexpr):
 @triton.jit(do_not_specialize=SIZES)
 def _other_rows(W, at, n, width, later, block, row, SIZE: tl.constexpr):
     """Subtract these rows from all others."""
-    first, tile = tl.program_id(1) * SIZE, tl.program_id(2)
+    first = tl.program_id(1) * SIZE
     if first != at:
         W += tl.program_id(0).to(tl.int64) * block
-        each, limit = tl.arange(0, SIZE), tl.where(tile < later, n, width)
-        j = tl.where(tile < later, at + SIZE * (1 + tile), n + SIZE * (tile - later)) + each[None, :]
-        i, pivots = first + each[:, None], at + each < n
+        each, (start, limit) = tl.arange(0, SIZE), _columns(tl.program_id(2), at, n, width, later, SIZE)
+        i, j, pivots = first + each[:, None], start + each[None, :], at + each < n
         P = tl.load(W + i * row + at + each[None, :], mask=(i < n) & pivots[None, :], other=0.0)
         Q = tl.load(W + (at + each[:, None]) * row + j, mask=pivots[:, None] & (j < limit), other=0.0)
         place, inside = W + i * row + j, (i < n) & (j < limit)

@@ -196,8 +196,9 @@ class _Recording:
         self.slots.copy_(torch.tensor(rows + rows[:1] * more))
         for at, each in zip(self.numbers, numbers, strict=True):
             at.copy_(torch.tensor([*each, *[each[0]] * more], dtype=torch.float64))
+        again = self.run if self.graph is None else self.graph.replay
         with devices.giving_way(self.slots.device) if slow else nullcontext():
-            self.run() if self.graph is None else self.graph.replay()
+            again()
         out = tuple(part[: len(rows)] for part in self.out)
         if self.missed is None:
             return out, []
