@@ -16,19 +16,17 @@ from tacgen.mechanics.state import History, State, joined
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
-from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.inversion import least_jacobian
 from tacgen.tensor_engine.load_step import blocked
 
 Array = np.ndarray
 
 
-def admit(b: Batch, s: Tensor) -> list[Outcome]:
+def admit(b: Batch, rows: list[int]) -> list[Outcome]:
     """Whether no point is inside the shrunk indenter and no cell is inverted, or barriers must be stiffer; whether
     forces balance. If so the load step is recorded."""
-    t, most, rows = b.t, b.options.residual_max, listed(s)
-    (found,) = b.replays(("admit", b.hexes.laws.two_invariants), partial(_figures, b), s)
-    figures, outcomes, recorded = found.tolist(), [], []
+    t, most, outcomes, recorded = b.t, b.options.residual_max, list[Outcome](), list[int]()
+    figures = b.replays(("admit", b.hexes.laws.two_invariants), partial(_figures, b), rows)
     for k, (row, each) in enumerate(zip(rows, figures, strict=True)):
         course, (gap, J, off, unequal, deep, reach, through) = b.courses[row], each
         course.solves, course.steps = course.solves + 1, course.steps + course.newton_steps
@@ -56,20 +54,20 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
             recorded.append(k)
             outcomes.append(Outcome.more if len(course.legs) > 1 else Outcome.ended)
     if recorded:
-        _record(b, b.slots([rows[k] for k in recorded]), [figures[k] for k in recorded])
+        _record(b, [rows[k] for k in recorded], [figures[k] for k in recorded])
     return outcomes
 
 
-def _figures(b: Batch, s: Tensor) -> tuple[Tensor]:
-    """By scene (s, 7): smallest gap, least J, residual and imbalance of the forces, depth inside the indenter, its
-    reach, and whether a point has passed through it."""
+def _figures(b: Batch, s: Tensor) -> tuple[Tensor, None]:
+    """Tells of each scene (s, 7): smallest gap, least J, residual and imbalance of the forces, depth inside the
+    indenter, its reach, and whether a point has passed through it."""
     x, contact = b.t.x[s], b.face(s, b.t.offset[s])
     forces = contact.evaluate(x)
     least_J = least_jacobian(b.X[s], x, b.topology, b.exists[s])
     residual, balance = _imbalance(b, s, x, contact, forces)
     inside, through = _depth_inside(b, s, x, contact), blocked(b, s, x)
     columns = forces.gap.flatten(1).amin(1), least_J, residual, balance, inside, b.reach[s], through.to(x.dtype)
-    return (torch.stack(columns, 1),)
+    return torch.stack(columns, 1), None
 
 
 def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces) -> tuple[Tensor, Tensor]:
@@ -90,9 +88,10 @@ def _depth_inside(b: Batch, s: Tensor, x: Tensor, contact: Contacts) -> Tensor:
     return -torch.where(b.exists[s][..., None], d, 0.0).flatten(1).amin(1).clamp(max=0.0)
 
 
-def _record(b: Batch, s: Tensor, figures: list[list[float]]) -> None:
+def _record(b: Batch, rows: list[int], figures: list[list[float]]) -> None:
     """The history that the next load step inherits, and the states at its end."""
-    t, contact, eps = b.t, b.face(s, b.t.offset[s]), b.eps[s][:, None, None]
+    t, s = b.t, b.slots(rows)
+    contact, eps = b.face(s, t.offset[s]), b.eps[s][:, None, None]
     forces = contact.evaluate(t.x[s])
     N = forces.N
     u = slip(forces.at, contact.anchor, forces.normal)
@@ -114,7 +113,7 @@ def _record(b: Batch, s: Tensor, figures: list[list[float]]) -> None:
     parts = tuple(part.to("cpu", non_blocking=True) for part in parts)
     mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s]).tolist()  # waits for the copies too
     arrays = [part.numpy() for part in parts]
-    for k, row in enumerate(listed(s)):
+    for k, row in enumerate(rows):
         _recorded(b, row, [part[k] for part in arrays], mean[k], figures[k])
 
 
@@ -140,10 +139,10 @@ def _recorded(b: Batch, row: int, arrays: list[Array], mean: float, figures: lis
     course.history, course.legs = after, course.legs[1:]
 
 
-def halve(b: Batch, s: Tensor) -> list[Outcome]:
+def halve(b: Batch, rows: list[int]) -> list[Outcome]:
     """Failed load steps as two halves each, unless one has been halved as often as its failure allows."""
     outcomes = []
-    for row in listed(s):
+    for row in rows:
         course = b.courses[row]
         assert course.failure is not None
         halves = halved(course.legs[0], course.failure.failure, b.options) if course.may_halve else ()

@@ -21,7 +21,7 @@ from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.course import Course
 from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
-from tacgen.tensor_engine.indices import gathered, index_of, listed, put
+from tacgen.tensor_engine.indices import gathered, index_of, put
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws
 from tacgen.tensor_engine.reduction import NOWHERE
@@ -107,9 +107,9 @@ class Tensors:
     def __getattr__(self, name: str) -> Tensor:
         raise AttributeError(name)
 
-    def put(self, slots: Tensor, **values: Tensor) -> None:
-        """Write rows, on a GPU in one launch."""
-        put(slots, tuple(getattr(self, name) for name in values), tuple(values.values()))
+    def put(self, slots: Tensor, which: Tensor | None = None, **values: Tensor) -> None:
+        """Write rows, of slots that are marked in `which` (s,) or of all, on a GPU in one launch."""
+        put(slots, tuple(getattr(self, name) for name in values), tuple(values.values()), which)
 
 
 @dataclass
@@ -246,9 +246,9 @@ class Batch:
             setattr(self.t, name, store)
         return store
 
-    def sizes(self, s: Tensor, reducing: bool = False) -> Sizes:
+    def sizes(self, rows: Sequence[int], reducing: bool = False) -> Sizes:
         """Sizes of a call, for which there is room afterwards; but for what it eliminates only if it is `reducing`."""
-        each = [self.courses[row] for row in listed(s)]
+        each = [self.courses[row] for row in rows]
         nodes, kept, fewest = (max(c.nodes for c in each), max(c.kept for c in each), min(c.nodes for c in each))
         lost = max(3 * c.nodes - c.kept for c in each)
         if self.replays.on:

@@ -1,7 +1,7 @@
 """Newton's method on the bulk of many scenes, with contact solved on the Schur complements.
 
-Each kernel does for all scenes `s` of a batch what that of mechanics.bulk_newton does for one, and returns an outcome
-for each. Quantities on which the next phase depends are read from the device once a call.
+Each kernel does for scenes in slots `rows` of a batch what that of mechanics.bulk_newton does for one, and returns an
+outcome for each. Quantities on which the next phase depends are read from the device once a call.
 """
 
 from dataclasses import replace
@@ -21,16 +21,17 @@ from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
 from tacgen.tensor_engine.course import Course, PartOfStep
-from tacgen.tensor_engine.indices import gathered, index_of, listed
+from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.load_step import cover, covers, take
+from tacgen.tensor_engine.replay import Write
 
 ENDS = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
 
 
-def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
+def begin_step(b: Batch, rows: list[int]) -> list[Outcome]:
     """Counts a step of the bulk; the nodes to condense to follow the contact."""
-    outcomes, options, going = [], b.options, []
-    for k, row in enumerate(listed(s)):
+    outcomes, options, going = [], b.options, list[int]()
+    for row in rows:
         course = b.courses[row]
         if course.newton_steps == options.max_newton:
             fail(b, row, b.t.x[row], course.newton_steps)
@@ -39,16 +40,16 @@ def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
             course.failure = NotConverged(Failure.effort, steps=options.max_effort)
         else:
             course.effort, course.newton_steps = course.effort + 1, course.newton_steps + 1
-            going.append(k)
+            going.append(row)
     if going:
-        some = s[going]
+        some = b.slots(going)
         facets = touched(b, some, b.t.x[some], b.t.offset[some])
         cover(b, some, facets, ~covers(b, some, facets))
-    for k, row in enumerate(listed(s)):
+    for row in rows:
         course = b.courses[row]
         course.new = course.new or not course.usable
         ready = Outcome.missing if course.new else Outcome.ready
-        outcomes.append(ready if k in set(going) else Outcome.failure)
+        outcomes.append(ready if row in going else Outcome.failure)
     return outcomes
 
 
@@ -63,25 +64,25 @@ def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
     return torch.where(now.any(1, keepdim=True), now, out)
 
 
-def factor(b: Batch, s: Tensor) -> list[Outcome]:
+def factor(b: Batch, rows: list[int]) -> list[Outcome]:
     """The tangents at the iterates, with the pressures predicted."""
-    good = take(b, s, "x", b.options.mixed_pressure)
-    for row, fine in zip(listed(s), good, strict=True):
+    good = take(b, rows, "x", b.options.mixed_pressure)
+    for row, fine in zip(rows, good, strict=True):
         if not fine:
             fail(b, row, b.t.begins[row], 0)
     return [Outcome.ready if fine else Outcome.indefinite for fine in good]
 
 
-def load(b: Batch, s: Tensor) -> list[Outcome]:
+def load(b: Batch, rows: list[int]) -> list[Outcome]:
     """The unbalanced forces, condensed, and the contact before its first step."""
-    sizes = b.sizes(s)
-    b.replays(("load", sizes.nodes, b.hexes.laws.two_invariants), partial(_load, b, sizes), s)
-    for row in listed(s):
+    sizes = b.sizes(rows)
+    b.replays(("load", sizes.nodes, b.hexes.laws.two_invariants), partial(_load, b, sizes), rows)
+    for row in rows:
         b.courses[row].inner_damping = b.courses[row].damping
-    return [Outcome.ready] * len(s)
+    return [Outcome.ready] * len(rows)
 
 
-def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[()]:
+def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[None, None]:
     t = b.t
     (x,) = gathered(s, t.x)
     g = b.hexes.rows(s).mixed_forces(x, t.J, t.taken)
@@ -90,24 +91,24 @@ def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[()]:
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))
     _untouched(b, sizes, s)
-    return ()
+    return None, None
 
 
 def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
     """The contact before its first step."""
     t = b.t
-    x = torch.zeros_like(t.c_x[s])
+    x = torch.zeros_like(t.c_x[s])  # later calls may have more nodes
     x[:, : sizes.nodes] = b.at_condensed(s, t.x, sizes.nodes)
     zero = torch.zeros_like(t.c_drift[s])
     t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_gap=zero - 1, c_steps=zero.long())
 
 
-def contact(b: Batch, s: Tensor) -> list[Outcome]:
+def contact(b: Batch, rows: list[int]) -> list[Outcome]:
     """One step of the contact, or the next part of one."""
-    courses, outcomes = {row: b.courses[row] for row in listed(s)}, dict.fromkeys(listed(s), Outcome.more)
+    courses, outcomes = {row: b.courses[row] for row in rows}, dict.fromkeys(rows, Outcome.more)
     at = {part: [row for row, course in courses.items() if course.part_of_step is part] for part in PartOfStep}
     if some := at[PartOfStep.REDUCE]:
-        reduce(b, b.slots(some))
+        reduce(b, some)
         for row in some:
             courses[row].part_of_step = PartOfStep.COUPLED
     ready = {row: courses[row].reduced == courses[row].inner_damping for row in at[PartOfStep.COUPLED]}
@@ -123,37 +124,21 @@ def contact(b: Batch, s: Tensor) -> list[Outcome]:
 
 def _begun(b: Batch, rows: list[int]) -> None:
     """The bulk of scenes without a reduction will be reduced, to the unknowns on which contact acts."""
-    s = b.slots(rows)
-    sizes = b.sizes(s)
-    _, count = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), s, [0.0] * len(rows))
-    for row, many in zip(rows, count.tolist(), strict=True):
-        b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, many
+    sizes = b.sizes(rows)
+    counts = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), rows, [0.0] * len(rows))
+    for row, many in zip(rows, counts, strict=True):
+        b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, int(many)
 
 
 def _stepped(b: Batch, rows: list[int], symmetric: bool) -> list[int | None]:
     """The contact after a coupled or a symmetric step; how each scene's stands. None: contact acts on other unknowns
     too, so that the coupled step is none, and the bulk will be reduced again."""
-    s = b.slots(rows)
-    sizes, damped = b.sizes(s), damping(b, s)
+    sizes, damped, out = b.sizes(rows), damping(b, rows), list[int | None]()
     key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), symmetric), partial(_contact, b, sizes, symmetric)
-    *after, status, figures = b.replays(key, work, s, *damped)
-    told, good = figures.tolist(), list[int]()
-    out: list[int | None] = [None] * len(rows)
-    for k, (row, (how, stale, many)) in enumerate(zip(rows, told, strict=True)):
+    for row, (status, stale, many) in zip(rows, b.replays(key, work, rows, *damped), strict=True):
+        out.append(None if stale else int(status))
         if stale:
-            b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, many
-        else:
-            out[k] = how
-            good.append(k)
-    if len(good) < len(rows):
-        some = index_of(good, s.device)
-        s, after, status = b.slots([rows[k] for k in good]), [part[some] for part in after], status[some]
-    if good:
-        x, offset, steps, length, drift, gap = after
-        b.t.c_x[s, : sizes.nodes] = x
-        b.t.put(
-            s, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
-        )  # fmt: skip
+            b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, int(many)
     return out
 
 
@@ -164,28 +149,35 @@ def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
     return Iterates(x, b.near(s, offset, sizes.nodes), *rest)
 
 
-def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
-    """As condensation.acted, for the forces at the iterates."""
+def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, None]:
+    """condensation.acted for the forces at the iterates. Tells on how many unknowns contact acts (s,)."""
     now = _iterates(b, sizes, s)
-    return acted(b, sizes, s, now.contact, shrunk(now)[0].evaluate(now.x).N, valid)
+    return acted(b, sizes, s, now.contact, shrunk(now)[0].evaluate(now.x).N, valid)[1], None
 
 
-def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
-    """The contact's tensors after a step, in the order of contact_newton.Iterates, and last (s, 3): how it stands, and
-    what condensation.acted says of a coupled step."""
+def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tensor) -> tuple[Tensor, Write]:
+    """A step of the contact. Tells of each scene (s, 3) how it stands, and what condensation.acted says of a coupled
+    step, which is none where it says that the reduction is stale."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
     after, N = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
     none = torch.zeros_like(now.steps)
     stale, count = (none, none) if symmetric else acted(b, sizes, s, now.contact, N, torch.ones_like(reach))
-    told = torch.stack([after.status, stale.long(), count], 1)
-    return after.x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status, told
+
+    def write(which: Tensor | None) -> None:
+        taken = stale == 0
+        b.t.put(
+            s, taken if which is None else taken & which, c_x=after.x, c_offset=after.contact.offset,
+            c_steps=after.steps, c_length=after.length, c_drift=after.drift, c_gap=after.gap, c_status=after.status,
+        )  # fmt: skip
+
+    return torch.stack([after.status, stale.long(), count], 1), write
 
 
-def damp(b: Batch, s: Tensor) -> list[Outcome]:
+def damp(b: Batch, rows: list[int]) -> list[Outcome]:
     """No step lowers the energy: with kept tangents, new ones; with new ones, more damping."""
     outcomes, again = [], []
-    for row in listed(s):
+    for row in rows:
         course = b.courses[row]
         if not course.new:
             course.damping, course.new = course.inner_damping, True
@@ -198,32 +190,28 @@ def damp(b: Batch, s: Tensor) -> list[Outcome]:
             again.append(row)
             outcomes.append(Outcome.ready)
     if again:
-        some = b.slots(again)
-        _untouched(b, b.sizes(some), some)
+        _untouched(b, b.sizes(again), b.slots(again))
     return outcomes
 
 
-def search(b: Batch, s: Tensor) -> list[Outcome]:
+def search(b: Batch, rows: list[int]) -> list[Outcome]:
     """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen."""
-    part, rows, laws = 1.0, listed(s), b.hexes.laws.two_invariants
+    part, left, laws = 1.0, rows, b.hexes.laws.two_invariants
     for row in rows:
         b.courses[row].part = 0.0
-    while rows and part >= SHORTEST:  # nearly all take the whole step
-        some = b.slots(rows)
-        sizes, damped = b.sizes(some), damping(b, some)
+    while left and part >= SHORTEST:  # nearly all take the whole step
+        sizes, damped = b.sizes(left), damping(b, left)
         key, work = ("search", sizes.nodes, bool(damped), laws), partial(_search, b, sizes)
-        x, there, inner, lower = b.replays(key, work, some, [part] * len(rows), *damped)
-        b.t.put(some, stepped=x, stepped_energy=there, c_x=inner)
-        found = dict(zip(rows, lower.tolist(), strict=True))
+        found = dict(zip(left, b.replays(key, work, left, [part] * len(left), *damped), strict=True))
         for row in (row for row, fine in found.items() if fine):
             b.courses[row].part = part
-        rows, part = [row for row, fine in found.items() if not fine], part / 2
-    return [Outcome.ready if b.courses[row].part > 0 else Outcome.higher for row in listed(s)]
+        left, part = [row for row, fine in found.items() if not fine], part / 2
+    return [Outcome.ready if b.courses[row].part > 0 else Outcome.higher for row in rows]
 
 
-def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
-    """Nodes (s, n, 3) and energies after a part (s,) of the step, condensed positions (s, most, 3) after it, if they
-    are lower, else as before, and whether they are (s,)."""
+def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -> tuple[Tensor, Write]:
+    """Nodes and energies after a part (s,) of the step, and condensed positions after it where they are lower. Tells
+    where (s,)."""
     t, bulk = b.t, condensed(b, sizes, s, *damping)
     x, c_x, offset, y, g, energy, least = gathered(s, t.x, t.c_x, t.c_offset, t.y, t.g, t.energy, t.h_least)
     near, inner = b.near(s, offset, sizes.nodes), c_x[:, : sizes.nodes]
@@ -243,7 +231,7 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
     share = total / torch.minimum(part * model, -rounding)
     lower = torch.where(total.abs() <= rounding, 1.0, share) >= MIN_GAIN
     left = torch.where(lower[:, None, None], left, inner)
-    return there, value, torch.cat([left, c_x[:, sizes.nodes :]], 1), lower
+    return lower, lambda which: t.put(s, which, stepped=there, stepped_energy=value, c_x=left)
 
 
 def step_end(b: Batch, s: Tensor) -> Tensor:
@@ -251,18 +239,15 @@ def step_end(b: Batch, s: Tensor) -> Tensor:
     return b.options.step_tol * b.dhat[s]
 
 
-def measure(b: Batch, s: Tensor) -> list[Outcome]:
+def measure(b: Batch, rows: list[int]) -> list[Outcome]:
     """The residual after a step: whether it is small enough, and else the damping and the tangent of the next one."""
-    sizes = b.sizes(s)
-    key = "measure", sizes.nodes, b.hexes.laws.two_invariants
-    J, figures = b.replays(key, partial(_measure, b, sizes), s)
-    b.t.put(s, x=b.t.stepped[s], energy=b.t.stepped_energy[s], J=J, offset=b.t.c_offset[s])
-    each = zip(listed(s), figures.tolist(), strict=True)
-    return [_measured(b.options, b.courses[row], *numbers) for row, numbers in each]
+    sizes = b.sizes(rows)
+    figures = b.replays(("measure", sizes.nodes, b.hexes.laws.two_invariants), partial(_measure, b, sizes), rows)
+    return [_measured(b.options, b.courses[row], *each) for row, each in zip(rows, figures, strict=True)]
 
 
-def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Tensor]:
-    """J at the end of the step as the next one predicts it, and figures (s, 5) for `_measured`."""
+def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
+    """The end of the step, and J there as the next one predicts it. Tells figures (s, 5) for `_measured`."""
     t, options = b.t, b.options
     x, there, offset, inner, status, steps, least = gathered(
         s, t.x, t.stepped, t.c_offset, t.c_x[:, : sizes.nodes], t.c_status, t.c_steps, t.h_least
@@ -277,8 +262,9 @@ def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Tensor]:
     residual = torch.linalg.norm(unbalanced.flatten(1), dim=1) / torch.maximum(forces.total, least)
     covered = covers(b, s, touched(b, s, there, offset))
     still = moved <= step_end(b, s)
-    columns = (residual, still, covered, status == CONVERGED, steps)
-    return J, torch.stack([part.to(residual.dtype) for part in columns], 1)
+    columns, (energy,) = (residual, still, covered, status == CONVERGED, steps), gathered(s, t.stepped_energy)
+    told = torch.stack([part.to(residual.dtype) for part in columns], 1)
+    return told, lambda which: t.put(s, which, x=there, energy=energy, J=J, offset=offset)
 
 
 def _unbalanced(b: Batch, nodes: Tensor, s: Tensor, gradient: Tensor, push: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """The condensed bulk of the scenes of a batch: Schur complements with damping, reduced to what contact acts on."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import torch
@@ -10,7 +11,7 @@ from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import Quadratics
-from tacgen.tensor_engine.indices import gathered, listed
+from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.reduction import Reduction, reduced
 
@@ -22,13 +23,12 @@ def more(damping: float) -> float:
     return max(DAMPING_FACTOR * damping, LEAST_DAMPING)
 
 
-def damping(b: Batch, s: Tensor) -> Damping:
+def damping(b: Batch, rows: Sequence[int]) -> Damping:
     """The damping of each scene, for which there is the Schur complement at rest afterwards."""
-    courses = {row: b.courses[row] for row in listed(s)}
+    courses = {row: b.courses[row] for row in rows}
     new = [row for row, course in courses.items() if course.inner_damping > 0 and not course.rested]
     if new:
-        some = b.slots(new)
-        sizes = b.sizes(some)
+        some, sizes = b.slots(new), b.sizes(new)
         K = b.hexes.rows(some).tangents(b.X[some], dtype=b.factors.dtype)[1]
         b.keep(some, S_0=b.factors.schur(K, b.t.nodes[some, : sizes.nodes], sizes.fewest)[1])
         for row in new:
@@ -62,34 +62,31 @@ def _damped(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Tensor:
     return torch.where(factor > 0, S + factor * b.read("S_0", s, k, k), S)
 
 
-def reduce(b: Batch, s: Tensor) -> None:
+def reduce(b: Batch, rows: Sequence[int]) -> None:
     """Reduce the condensed bulk of each scene to its `wanted` unknowns, of which it has `kept`.
 
     What is eliminated must be positive definite: a scene's damping is increased until it is.
     """
-    while len(s):
-        rows, damped = listed(s), damping(b, s)
-        sizes = b.sizes(s, reducing=True)
-        work = partial(_reduce, b, sizes)
-        (definite,) = b.replays(("reduce", sizes.nodes, sizes.kept, sizes.lost, bool(damped)), work, s, *damped)
-        again = []
-        for k, (row, fine) in enumerate(zip(rows, definite.tolist(), strict=True)):
+    while rows:
+        damped, sizes, again = damping(b, rows), b.sizes(rows, reducing=True), []
+        key, work = ("reduce", sizes.nodes, sizes.kept, sizes.lost, bool(damped)), partial(_reduce, b, sizes)
+        for row, fine in zip(rows, b.replays(key, work, rows, *damped), strict=True):
             course = b.courses[row]
             course.reduced = course.inner_damping
             if not fine and course.inner_damping <= DAMPING_MAX:
                 course.inner_damping = more(course.inner_damping)
-                again.append(k)
-        s = b.slots([rows[k] for k in again])
+                again.append(row)
+        rows = again
 
 
-def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor]:
-    """Keeps what `reduction.reduced` gives, and where what is eliminated is positive definite (s,)."""
+def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor, None]:
+    """Keeps what `reduction.reduced` gives. Tells where what is eliminated is positive definite (s,)."""
     wanted = b.read("wanted", s, sizes.unknowns)
     exists = (b.t.nodes[s, : sizes.nodes] >= 0).repeat_interleave(3, 1)
     part, definite = reduced(_damped(b, sizes, s, *damping), wanted, exists, sizes.kept, sizes.lost)
     b.t.put(s, lost_count=part.used[0], kept_count=part.used[1])
     b.keep(s, G=part.G, X=part.X, K=part.K, kept=part.kept, lost=part.lost, place=part.place, active=wanted)
-    return (definite,)
+    return definite, None
 
 
 def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:

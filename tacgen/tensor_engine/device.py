@@ -2,8 +2,6 @@
 
 import ctypes
 import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import torch
 
@@ -54,19 +52,10 @@ def _wait_asleep(number: int) -> None:
         driver.cuDevicePrimaryCtxSetFlags_v2(handle, BLOCKING_SYNC)
 
 
-@contextmanager
-def giving_way(device: torch.device) -> Iterator[None]:
-    """Whatever is begun in here lets other work of this and of other processes go first, which runs in urgent streams:
-    a GPU has room for blocks of threads all the time, and gives it to those of urgent streams. Work that fills a GPU
-    for milliseconds hardly takes longer for that, while short work does not wait behind it."""
-    if device.type != "cuda":
-        yield
-        return
-    now, slow = torch.cuda.current_stream(), torch.cuda.Stream()
-    slow.wait_stream(now)
-    with torch.cuda.stream(slow):
-        yield
-    now.wait_stream(slow)
+def stream(device: torch.device, urgent: bool) -> torch.cuda.Stream | None:
+    """A new stream of the usual priority, or of one above it: a GPU that has room for a block of threads gives it to
+    urgent streams first. CUDA graphs have the priority of the stream in which they were captured. None: no GPU."""
+    return torch.cuda.Stream(device, priority=URGENT if urgent else 0) if device.type == "cuda" else None
 
 
 def full(device: torch.device) -> bool:

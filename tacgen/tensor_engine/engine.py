@@ -16,7 +16,7 @@ from tacgen.tensor_engine import admission, bulk_newton, load_step
 from tacgen.tensor_engine.batch import Batch
 
 SHARED = ("index", "history", "legs", "may_halve", "effort", "phase", "state", "failure")  # by Course and SolveState
-KERNELS: dict[Phase, Callable[[Batch, Tensor], list[Outcome]]] = {
+KERNELS: dict[Phase, Callable[[Batch, list[int]], list[Outcome]]] = {
     Phase.begin: load_step.begin,
     Phase.renew: load_step.renew,
     Phase.predict: load_step.foresee,
@@ -44,7 +44,7 @@ class Solved:
 
 def advance(b: Batch, phase: Phase, rows: list[int]) -> None:
     """Call the kernel of a phase for the scenes in slots `rows`, which wait for it."""
-    for row, outcome in zip(rows, KERNELS[phase](b, b.slots(rows)), strict=True):
+    for row, outcome in zip(rows, KERNELS[phase](b, rows), strict=True):
         course = b.courses[row]
         course.phase = Phase.failed if course.left else TRANSITIONS[phase][outcome]
 

@@ -158,7 +158,8 @@ def _other_rows(W, at, n, width, later, block, row, SIZE: tl.constexpr):
     first = tl.program_id(1) * SIZE
     if first != at:
         W += tl.program_id(0).to(tl.int64) * block
-        each, (start, limit) = tl.arange(0, SIZE), _columns(tl.program_id(2), at, n, width, later, SIZE)
+        each = tl.arange(0, SIZE)
+        start, limit = _columns(tl.program_id(2), at, n, width, later, SIZE)
         i, j, pivots = first + each[:, None], start + each[None, :], at + each < n
         P = tl.load(W + i * row + at + each[None, :], mask=(i < n) & pivots[None, :], other=0.0)
         Q = tl.load(W + (at + each[:, None]) * row + j, mask=pivots[:, None] & (j < limit), other=0.0)

@@ -20,14 +20,19 @@ def _odd(numbers: list[int]) -> tuple[int, ...]:
 
 
 @triton.jit
-def _moved(SLOTS, sources, results, widths, strides, INTO: tl.constexpr, SIZE: tl.constexpr):
-    """Rows of sources at slots to results, or rows of sources INTO results at slots."""
-    scene = tl.program_id(0).to(tl.int64)
+def _moved(
+    SLOTS, WHICH, sources, results, widths, strides, INTO: tl.constexpr, SOME: tl.constexpr, SIZE: tl.constexpr
+):  # fmt: skip
+    """Rows of sources at slots to results, or rows of sources INTO results at slots; of SOME slots, which are marked,
+    or of all."""
+    scene, end = tl.program_id(0).to(tl.int64), 1
+    if SOME:
+        end = tl.load(WHICH + scene).to(tl.int32)
     slot, k = tl.load(SLOTS + scene), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     for i in tl.static_range(len(sources)):
         width = widths[i] // 16
         apart, close = slot * (strides[i] // 16) + k, scene * width + k
-        inside = k < width
+        inside = k < width * end
         if INTO:
             tl.store(results[i] + apart, tl.load(sources[i] + close, mask=inside), mask=inside)
         else:
@@ -41,17 +46,22 @@ def rows(slots: Tensor, parts: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     return out
 
 
-def put(slots: Tensor, results: tuple[Tensor, ...], values: tuple[Tensor, ...]) -> None:
-    """Write values (s, ...) to rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous."""
-    _move(slots, tuple(value.contiguous() for value in values), results, True)
+def put(slots: Tensor, results: tuple[Tensor, ...], values: tuple[Tensor, ...], which: Tensor | None = None) -> None:
+    """Write values (s, n, ...) to the first n of rows at slots (s,) of tensors (capacity, ...), each of whose rows is
+    contiguous, where `which` (s,) is marked or everywhere."""
+    _move(slots, tuple(value.contiguous() for value in values), results, True, which)
 
 
-def _move(slots: Tensor, sources: tuple[Tensor, ...], results: tuple[Tensor, ...], into: bool) -> None:
+def _move(
+    slots: Tensor, sources: tuple[Tensor, ...], results: tuple[Tensor, ...], into: bool, which: Tensor | None = None
+) -> None:
     kept, close = (results, sources) if into else (sources, results)
     widths, strides = [part.shape[1:].numel() for part in close], [part.stride(0) for part in kept]
     if max(widths):
-        grid = len(slots), triton.cdiv(max(widths), LANES)
-        _moved[grid](slots, sources, results, _odd(widths), _odd(strides), INTO=into, SIZE=LANES)
+        grid, marked = (len(slots), triton.cdiv(max(widths), LANES)), slots if which is None else which
+        _moved[grid](
+            slots, marked, sources, results, _odd(widths), _odd(strides), INTO=into, SOME=which is not None, SIZE=LANES
+        )  # fmt: skip
 
 
 @triton.jit(do_not_specialize=COUNTS)

@@ -21,9 +21,7 @@ def constant(array: np.ndarray, like: Tensor) -> Tensor:
 
 def index_of(rows: Sequence[int], device: torch.device) -> Tensor:
     """Numbers as an index tensor."""
-    out = torch.tensor(rows, dtype=torch.long, device=device)
-    out.rows = list(rows)
-    return out
+    return torch.tensor(rows, dtype=torch.long, device=device)
 
 
 def gathered(slots: Tensor, *parts: Tensor) -> tuple[Tensor, ...]:
@@ -35,18 +33,15 @@ def gathered(slots: Tensor, *parts: Tensor) -> tuple[Tensor, ...]:
     return tuple(part[slots] for part in parts)
 
 
-def put(slots: Tensor, tensors: tuple[Tensor, ...], values: tuple[Tensor, ...]) -> None:
-    """Write values (s, ...) to the rows at slots (s,) of tensors: the reverse of `gathered`."""
+def put(slots: Tensor, tensors: tuple[Tensor, ...], values: tuple[Tensor, ...], which: Tensor | None = None) -> None:
+    """Write values (s, n, ...) to the first n of the rows at slots (s,) of tensors, where they are marked in `which`
+    (s,) or everywhere: the reverse of `gathered`."""
     if devices.by_kernels(slots):
         from tacgen.tensor_engine import gpu_facets
 
-        return gpu_facets.put(slots, tensors, values)
+        return gpu_facets.put(slots, tensors, values, which)
     for rows, value in zip(tensors, values, strict=True):
-        rows[slots] = value
+        some = (slots,) if value.dim() == 1 else (slots, slice(value.shape[1]))
+        new = value.to(rows.dtype)
+        rows[some] = new if which is None else torch.where(which.view(-1, *[1] * (new.dim() - 1)), new, rows[some])
     return None
-
-
-def listed(index: Tensor) -> list[int]:
-    """The numbers of an index, from the host where it was made of a list by `index_of`."""
-    rows: list[int] | None = getattr(index, "rows", None)
-    return index.tolist() if rows is None else rows

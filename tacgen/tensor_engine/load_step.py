@@ -1,7 +1,7 @@
 """A load step of many scenes: contact at its pose, the prediction, and where Newton's method begins.
 
-Each kernel does for all scenes `s` of a batch what that of mechanics.load_step does for one, and returns an outcome for
-each.
+Each kernel does for scenes in slots `rows` of a batch what that of mechanics.load_step does for one, and returns an
+outcome for each.
 """
 
 from functools import partial
@@ -19,14 +19,14 @@ from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
-from tacgen.tensor_engine.indices import gathered, listed
+from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.reduction import numbered, solved, with_points
 from tacgen.tensor_engine.replay import recording
 
 
-def begin(b: Batch, s: Tensor) -> list[Outcome]:
+def begin(b: Batch, rows: list[int]) -> list[Outcome]:
     """Contact and bulk at the pose of the next load step, and whether the kept tangents serve its prediction."""
-    t, courses = b.t, [b.courses[k] for k in listed(s)]
+    t, s, courses = b.t, b.slots(rows), [b.courses[row] for row in rows]
     for course in courses:
         course.fresh()
         course.effort, course.failure = 0 if course.legs[0].budget else course.effort, None
@@ -72,7 +72,7 @@ def cover(b: Batch, s: Tensor, facets: Tensor, which: Tensor) -> None:
         faces=numbered(faces, t.faces.shape[1]),
     )
     counts = torch.stack([marked.sum(1), (own & ~b.patch).sum(1)], 1).tolist()
-    for row, (nodes, outside) in zip(listed(s), counts, strict=True):
+    for row, (nodes, outside) in zip(s.tolist(), counts, strict=True):
         course = b.courses[row]
         course.usable, course.rested, course.left, course.nodes = False, False, outside > 0, nodes
 
@@ -85,55 +85,54 @@ def _nodes_of(b: Batch, facets: Tensor) -> Tensor:
     return out
 
 
-def take(b: Batch, s: Tensor, at: str, mixed: bool, projection: Projection = Projection.NONE) -> list[bool]:
+def take(b: Batch, rows: list[int], at: str, mixed: bool, projection: Projection = Projection.NONE) -> list[bool]:
     """Factorise the tangents at the positions of this name, with pressures at the predicted J if `mixed`; where one is
     not positive definite, with projected tangents of the cells. Which have a factor."""
-    sizes = b.sizes(s)
+    sizes = b.sizes(rows)
     work = partial(_taken, b, sizes, at, mixed, projection)
     if projection is Projection.NONE:
-        (good,) = b.replays(("factor", sizes.nodes, sizes.fewest, at, mixed, b.hexes.laws.two_invariants), work, s)
+        out = b.replays(("factor", sizes.nodes, sizes.fewest, at, mixed, b.hexes.laws.two_invariants), work, rows)
     else:
-        (good,) = work(s)
-    out: list[bool] = good.tolist()
-    for row, fine in zip(listed(s), out, strict=True):
-        b.courses[row].usable, b.courses[row].reduced = fine, -1.0
+        out = work(b.slots(rows))[0].tolist()
+    for row, fine in zip(rows, out, strict=True):
+        b.courses[row].usable, b.courses[row].reduced = bool(fine), -1.0
     if projection is not Projection.FULL and not all(out):
         bad = [k for k, fine in enumerate(out) if not fine]
-        again = take(b, b.slots([listed(s)[k] for k in bad]), at, mixed, Projection(projection + 1))
+        again = take(b, [rows[k] for k in bad], at, mixed, Projection(projection + 1))
         for k, fine in zip(bad, again, strict=True):
             out[k] = fine
     return out
 
 
-def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection, s: Tensor) -> tuple[Tensor]:
-    """Keeps the factors of tangents, and which there are (s,)."""
+def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection, s: Tensor) -> tuple[Tensor, None]:
+    """Keeps the factors of tangents. Tells which there are (s,)."""
     x = getattr(b.t, at)[s]
     F, K = b.hexes.rows(s).tangents(x, b.t.J[s] if mixed else None, projection, b.factors.dtype)
     b.folded(s, x).add_tangents(K, projection)
     good, S = b.factors.factor(s, K, b.t.nodes[s, : sizes.nodes], sizes.fewest)
     b.keep(s, S=S)
     b.t.put(s, taken=F)
-    return (good,)
+    return good, None
 
 
-def renew(b: Batch, s: Tensor) -> list[Outcome]:
+def renew(b: Batch, rows: list[int]) -> list[Outcome]:
     """The tangents at the last equilibrium."""
-    return [Outcome.ready if fine else Outcome.indefinite for fine in take(b, s, "h_x", False)]
+    return [Outcome.ready if fine else Outcome.indefinite for fine in take(b, rows, "h_x", False)]
 
 
-def foresee(b: Batch, s: Tensor) -> list[Outcome]:
+def foresee(b: Batch, rows: list[int]) -> list[Outcome]:
     """The prediction: points that touch move with the indenter, the rest of the gel by the tangent; see
     mechanics.predictor."""
     if b.options.predict:
-        sizes = b.sizes(s)
-        (good,) = b.replays(("predict", sizes.nodes), partial(_foresee, b, sizes), s)
-        for row, fine in zip(listed(s), good.tolist(), strict=True):
-            b.courses[row].predicted = fine
-    return [Outcome.ready] * len(s)
+        sizes = b.sizes(rows)
+        good = b.replays(("predict", sizes.nodes), partial(_foresee, b, sizes), rows)
+        for row, fine in zip(rows, good, strict=True):
+            b.courses[row].predicted = bool(fine)
+    return [Outcome.ready] * len(rows)
 
 
-def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor]:
-    """Predicts. Which are predicted (s,)."""
+def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
+    """Predicts. Tells which are predicted (s,)."""
     t, x, k = b.t, b.t.h_x[s], sizes.unknowns
     contact, face = b.near(s, t.offset[s], sizes.nodes), b.face(s, t.offset[s])
     touching = t.h_N[s] > 0
@@ -158,7 +157,7 @@ def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor]:
     part = torch.where(along > PARALLEL * torch.sqrt(now * then), (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
     ahead, motion = first + (part**2)[:, None, None] * t.h_error[s], torch.where(good[:, None, None, None], motion, 0.0)
     t.put(s, first_order=first, ahead=ahead, motion=motion)
-    return (good,)
+    return good, None
 
 
 def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
@@ -167,18 +166,17 @@ def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
     return ((flat - b.t.h_position[s][:, None]) @ b.t.h_rotation[s]).view(at.shape)
 
 
-def start(b: Batch, s: Tensor) -> list[Outcome]:
+def start(b: Batch, rows: list[int]) -> list[Outcome]:
     """Newton's method at its start: what a softer barrier found, else a solution nearby, the prediction or the last
     positions, the first of them in which nothing tunnels and no cell is inverted; and anchors of new points where they
     first touch."""
-    rows, laws = listed(s), b.hexes.laws.two_invariants
-    courses, failed = [b.courses[row] for row in rows], set[int]()
+    laws, courses, failed = b.hexes.laws.two_invariants, [b.courses[row] for row in rows], set[int]()
     if new := [row for row, course in zip(rows, courses, strict=True) if not course.found]:
         predicted, near = ([float(getattr(b.courses[row], name)) for row in new] for name in ("predicted", "near"))
         flags = (predicted, near) if any(near) else (predicted,)
-        (good,) = b.replays(("begin", laws, len(flags)), partial(_begin, b), b.slots(new), *flags)
-        failed = {row for row, fine in zip(new, good.tolist(), strict=True) if not fine}
-    b.replays(("start", laws), partial(_start, b), s)
+        good = b.replays(("begin", laws, len(flags)), partial(_begin, b), new, *flags)
+        failed = {row for row, fine in zip(new, good, strict=True) if not fine}
+    b.replays(("start", laws), partial(_start, b), rows)
     for row, course in zip(rows, courses, strict=True):
         if row in failed:
             course.failure = NotConverged(Failure.too_far)
@@ -187,9 +185,9 @@ def start(b: Batch, s: Tensor) -> list[Outcome]:
     return [Outcome.failure if row in failed else Outcome.ready for row in rows]
 
 
-def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tensor]:
-    """Where Newton's method begins, and which scenes (s,) have such a place; near: which have a solution nearby, if one
-    has."""
+def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tensor, None]:
+    """Where Newton's method begins. Tells which scenes (s,) have such a place; near: which have a solution nearby, if
+    one has."""
     t, guessed = b.t, predicted > 0
     last, ahead = t.h_x[s], t.ahead[s]
     use = guessed & _clear(b, s, ahead)
@@ -201,13 +199,13 @@ def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tenso
         good, x = good | close, torch.where(close[:, None, None], t.begins[s], x)
     t.put(s, x=x)
     _anchor(b, s, torch.where(guessed[:, None, None], ahead, last))
-    return (good,)
+    return good, None
 
 
-def _start(b: Batch, s: Tensor) -> tuple[()]:
+def _start(b: Batch, s: Tensor) -> tuple[None, None]:
     t, x = b.t, b.t.x[s]
     t.put(s, begins=x, energy=b.energy(s, x), J=b.hexes.rows(s).gradient(t.h_x[s])[0])
-    return ()
+    return None, None
 
 
 def _anchor(b: Batch, s: Tensor, x: Tensor) -> None:

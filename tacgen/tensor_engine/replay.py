@@ -1,14 +1,18 @@
 """Work on rows of a batch recorded once, as a CUDA graph, and replayed: hundreds of launches become one.
 
 For some dozens of scenes a GPU takes less time for an operation than its host to launch it. Work is a function of slots
-(s,) that reads and writes a batch's tensors, and never waits for the device: where it goes on otherwise for a few
-scenes, it asks `rare`, and is done again for these: where it had `room` for too few, by a recording with room for
-many, else without. So work must not read what it writes, and a scene's results must not depend on the others of a call.
+(s,) that reads a batch's tensors, and never waits for the device; it returns what it tells the host (s,) or (s, c), and
+how to write what it has found, either or both None. So a call is one launch and one wait: what other work would do
+between two calls the recordings do, and what the host sends and is told are an array each.
+
+Where work goes on otherwise for a few scenes, it asks `rare`, and is done again for these: where it had `room` for too
+few, by a recording with room for many, else without. So what it reads it must not write, but at its end, which is left
+out for these. A scene's results must not depend on the others of a call.
 """
 
 import gc
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -17,13 +21,13 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.indices import index_of, listed
+from tacgen.tensor_engine.indices import index_of
 
 SIZES = (2, 4, 8, 16, 32, 64, 128, 256)  # rows of recordings
 SMALL = 16  # rows of a call that would take hardly less time with fewer
 SLOW = ("factor",)  # work that fills a GPU, and gives way to all other
-Outputs = tuple[Tensor, ...]
-Work = Callable[..., Outputs]  # of slots (s,) and numbers (s,); outputs have a row for each
+Write = Callable[[Tensor | None], None]  # writes the rows of a mask (s,), or all
+Work = Callable[..., tuple[Tensor | None, Write | None]]  # of slots (s,) and numbers (s,)
 _noted: "_Notes | None" = None  # while work is recorded
 
 
@@ -91,87 +95,105 @@ class Replays:
         self.device, self.on = device, device.type == "cuda" if on is None else on
         self.count = self.again = 0  # replays, and scenes of them that were done again
         self._recorded: dict[Hashable, _Recording | None] = {}
-        self._where: Any = None  # stream and pool of memory, which recordings share since they never run at once
+        self._pool: Any = None  # of memory, which recordings share since they never run at once
+        self._streams: dict[bool, Any] = {}  # to record in: those of work that gives way, and of all other
 
     def forget(self) -> None:
         """Give recordings up: tensors have moved, or there is no memory for more."""
         if self._recorded:
-            self._recorded, self._where = {}, None
+            self._recorded, self._pool = {}, None
             devices.cleared(str(self.device))
 
-    def __call__(self, key: Hashable, work: Work, s: Tensor, *numbers: Sequence[float]) -> Outputs:
-        """Outputs of work for slots s and numbers of them, to be used before the next call; key: all else that it
-        depends on. The first call with a key and a size of call is not recorded: libraries and constants are made."""
-        return self._called(key, work, s, numbers, False) if self.on else self._eagerly(work, s, numbers)
+    def __call__(self, key: Hashable, work: Work, rows: Sequence[int], *numbers: Sequence[float]) -> list[Any]:
+        """What work tells of slots `rows`, and numbers of them, by row, 0 if nothing; key: all else that it depends on.
+        The first call with a key and a size of call is not recorded: libraries and constants are made."""
+        return self._called(key, work, rows, numbers, False) if self.on else self._eagerly(work, rows, numbers)
 
-    def _called(self, key: Hashable, work: Work, s: Tensor, numbers: Sequence[Sequence[float]], roomy: bool) -> Outputs:
-        """Outputs of work by a recording, which has room for many or for few of what is rare."""
-        rows = listed(s)
-        at = key, (size := padded(len(rows))), roomy
+    def _called(
+        self, key: Hashable, work: Work, rows: Sequence[int], numbers: Sequence[Sequence[float]], roomy: bool
+    ) -> list[Any]:
+        """What work tells by a recording, which has room for many or for few of what is rare."""
+        at = key, (size := self._size(key, len(rows), roomy)), roomy
         if at not in self._recorded:
             self._recorded[at] = None
-            return self._eagerly(work, s, numbers)
-        recorded = self._recorded[at] or self._record(work, size, len(numbers), roomy)
+            return self._eagerly(work, rows, numbers)
+        slow = isinstance(key, tuple) and key[0] in SLOW
+        recorded = self._recorded[at] or self._record(work, size, len(numbers), roomy, slow)
         if recorded is None:
             self.forget()  # those that are used will be recorded again
-            recorded = self._record(work, size, len(numbers), roomy)
+            recorded = self._record(work, size, len(numbers), roomy, slow)
         if recorded is None:
             self.on = False  # else each call would look for memory again
-            return self._eagerly(work, s, numbers)
+            return self._eagerly(work, rows, numbers)
         self._recorded[at] = recorded
-        out, missed = recorded.replay(rows, numbers, isinstance(key, tuple) and key[0] in SLOW)
+        told, missed = recorded.replay(rows, numbers)
         self.count += 1
         if missed:
             self.again += len(missed)
-            some, k = index_of([rows[k] for k in missed], self.device), torch.tensor(missed, device=self.device)
-            theirs = [[each[k] for k in missed] for each in numbers]
-            if recorded.bounded and not roomy:
-                out = tuple(part.clone() for part in out)  # recordings share memory
-                again = self._called(key, work, some, theirs, True)
-            else:
-                again = self._eagerly(work, some, theirs)
-            for whole, part in zip(out, again, strict=True):
-                whole[k] = part
-        return out
+            some, theirs = [rows[k] for k in missed], [[each[k] for k in missed] for each in numbers]
+            again = (
+                self._called(key, work, some, theirs, True)
+                if recorded.bounded and not roomy
+                else self._eagerly(work, some, theirs)
+            )
+            for k, one in zip(missed, again, strict=True):
+                told[k] = one
+        return told
 
-    def _record(self, work: Work, size: int, numbers: int, roomy: bool) -> "_Recording | None":
+    def _size(self, key: Hashable, rows: int, roomy: bool) -> int:
+        """Rows of the recording for so many: twice as many as they need take less time than to record for fewer."""
+        least = padded(rows)
+        return next((size for size in (least, 2 * least) if self._recorded.get((key, size, roomy))), least)
+
+    def _record(self, work: Work, size: int, numbers: int, roomy: bool, slow: bool) -> "_Recording | None":
         """A new recording; None: there is no memory for it."""
         if devices.full(self.device):
             return None
-        if self._where is None and self.device.type == "cuda":
-            self._where = torch.cuda.Stream(), torch.cuda.graph_pool_handle()
+        if slow not in self._streams:
+            self._streams[slow] = devices.stream(self.device, urgent=not slow)
+        if self._pool is None and self.device.type == "cuda":
+            self._pool = torch.cuda.graph_pool_handle()
         try:
-            return _Recording(work, size, numbers, self.device, self._where, roomy)
+            return _Recording(work, size, numbers, self.device, (self._streams[slow], self._pool), roomy)
         except torch.OutOfMemoryError:
             return None
 
-    def _eagerly(self, work: Work, s: Tensor, numbers: Sequence[Sequence[float]]) -> Outputs:
+    def _eagerly(self, work: Work, rows: Sequence[int], numbers: Sequence[Sequence[float]]) -> list[Any]:
+        s = index_of(rows, self.device)
         given = [torch.tensor(each, dtype=torch.float64, device=self.device) for each in numbers]
         try:
-            return work(s, *given)
+            told, write = work(s, *given)
         except torch.OutOfMemoryError:  # recordings have some
             self.forget()
-        return work(s, *given)
+            told, write = work(s, *given)
+        if write is not None:
+            write(None)
+        return [0.0] * len(rows) if told is None else told.tolist()
 
 
 class _Recording:
     """Work for a number of rows, on a GPU as a graph; a call with fewer repeats its first row."""
 
     def __init__(self, work: Work, size: int, numbers: int, device: torch.device, where: Any, roomy: bool) -> None:
-        self.roomy = roomy
-        self.size, self.graph = size, torch.cuda.CUDAGraph() if device.type == "cuda" else None
-        self.run = partial(self._run, work)
-        self.slots = torch.zeros(size, dtype=torch.long, device=device)
-        self.numbers = torch.zeros(numbers, size, dtype=torch.float64, device=device)
+        self.roomy, self.size = roomy, size
+        self.graph = torch.cuda.CUDAGraph() if device.type == "cuda" else None
+        self.run, pinned = partial(self._run, work), self.graph is not None
+        self.sent = torch.zeros(1 + numbers, size, dtype=torch.float64, pin_memory=pinned)  # slots and numbers
+        self.given = self.sent.to(device)
         if self.graph is not None:
             self._capture(self.graph, *where)
             del self.run  # which holds the batch
+            self.heard = torch.zeros(self.told.shape, dtype=self.told.dtype, pin_memory=True)
 
     def _run(self, work: Work) -> None:
         with _noting(self.roomy) as notes:
-            self.out = work(self.slots, *self.numbers)
-        self.bounded = notes.bounded
-        self.missed = torch.stack(notes.missed).any(0) if notes.missed else None
+            told, write = work(self.given[0].long(), *self.given[1:])
+            missed = torch.stack(notes.missed).any(0) if notes.missed else None
+            if write is not None:
+                write(None if missed is None else ~missed)
+            parts = [part.view(self.size, -1) for part in (told, missed) if part is not None]
+            self.told = torch.cat([each.to(self.given.dtype) for each in parts], 1) if parts else self.given[0, :, None]
+        self.bounded, self.masked, self.wide = notes.bounded, missed is not None, told is not None and told.dim() > 1
 
     def _capture(self, graph: Any, stream: Any, pool: Any) -> None:
         now = torch.cuda.current_stream()
@@ -188,18 +210,19 @@ class _Recording:
             gc.enable()
         now.wait_stream(stream)
 
-    def replay(
-        self, rows: list[int], numbers: Sequence[Sequence[float]], slow: bool = False
-    ) -> tuple[Outputs, list[int]]:
-        """Outputs for these rows, and the places of those that met something rare; slow: whether it gives way."""
+    def replay(self, rows: Sequence[int], numbers: Sequence[Sequence[float]]) -> tuple[list[Any], list[int]]:
+        """What work tells of these rows, and the places of those that met something rare."""
         more = self.size - len(rows)
-        self.slots.copy_(torch.tensor(rows + rows[:1] * more))
-        for at, each in zip(self.numbers, numbers, strict=True):
-            at.copy_(torch.tensor([*each, *[each[0]] * more], dtype=torch.float64))
-        again = self.run if self.graph is None else self.graph.replay
-        with devices.giving_way(self.slots.device) if slow else nullcontext():
-            again()
-        out = tuple(part[: len(rows)] for part in self.out)
-        if self.missed is None:
-            return out, []
-        return out, [k for k, missed in enumerate(self.missed[: len(rows)].tolist()) if missed]
+        for at, each in zip(self.sent.numpy(), (rows, *numbers), strict=True):
+            at[:] = [*each, *[each[0]] * more]
+        self.given.copy_(self.sent, non_blocking=True)
+        if self.graph is None:
+            self.run()
+            heard = self.told
+        else:
+            self.graph.replay()
+            heard = self.heard.copy_(self.told, non_blocking=True)
+            torch.cuda.current_stream().synchronize()
+        told = heard[: len(rows)].tolist()
+        missed = [k for k, each in enumerate(told) if each.pop()] if self.masked else []
+        return told if self.wide else [each[0] if each else 0.0 for each in told], missed

@@ -1,8 +1,6 @@
 """How the batch engine takes a device."""
 
 import ctypes
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -58,29 +56,8 @@ def test_without_the_driver_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     devices._wait_asleep(0)
 
 
-def test_slow_work_runs_in_a_stream_that_is_not_urgent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After all that was begun before it, and before what is begun later."""
-    log: list[str] = []
-
-    class Stream:
-        def __init__(self, name: str = "slow") -> None:
-            self.name = name
-
-        def wait_stream(self, other: "Stream") -> None:
-            log.append(f"{self.name} waits for {other.name}")
-
-    @contextmanager
-    def entered(stream: Stream) -> Iterator[None]:
-        log.append(f"in {stream.name}")
-        yield
-        log.append(f"out of {stream.name}")
-
-    now = Stream("urgent")
-    for name, value in (("current_stream", lambda: now), ("Stream", Stream), ("stream", entered)):
-        monkeypatch.setattr(torch.cuda, name, value)
-    with devices.giving_way(torch.device("cuda:0")):
-        log.append("work")
-    assert log == ["slow waits for urgent", "in slow", "work", "out of slow", "urgent waits for slow"]
-    with devices.giving_way(torch.device("cpu")):
-        log.clear()
-    assert log == []
+def test_streams_for_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "Stream", lambda device, priority: (str(device), priority))
+    gpu = torch.device("cuda:1")
+    assert [devices.stream(gpu, urgent) for urgent in (True, False)] == [("cuda:1", -1), ("cuda:1", 0)]
+    assert devices.stream(torch.device("cpu"), True) is None

@@ -104,9 +104,8 @@ def test_a_tangent_that_is_not_definite_is_projected_in_its_scene_alone(monkeypa
         return good & (slots == 0) if len(calls) < 3 else good, S
 
     monkeypatch.setattr(b.factors, "factor", refusing)
-    s = b.slots([0, 1])
     b.t.x[1, :, 2] *= 0.8  # squeezed
-    assert load_step.take(b, s, "x", False) == [True, True]
+    assert load_step.take(b, [0, 1], "x", False) == [True, True]
     assert [slots for slots, _ in calls] == [[0, 1], [1], [1]]
     least = [value for _, value in calls]
     assert least[0] < -1e-3

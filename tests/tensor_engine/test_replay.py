@@ -1,7 +1,7 @@
 """Recorded work does what work does, for calls of any size, and never waits for the device while it is recorded."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.tensor_engine import admission, inversion, load_step, pool, replay
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.indices import index_of
+from tacgen.tensor_engine.indices import put
 from tacgen.tensor_engine.replay import Replays, fitting, padded, rare
 from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine.batches import batch, path, small, solve
@@ -70,11 +70,41 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_calls_of_any_size_have_the_outputs_of_the_work() -> None:
     rows, replays = torch.arange(40.0), Replays(CPU, on=True)
     for slots in ([3], [5, 1], [7, 2, 9], [4, 0, 8], list(range(30)), [1] * 17):
-        some, times = index_of(slots, CPU), [float(k) for k in slots]
-        once, twice = replays("twice", lambda s, k: (rows[s], k * rows[s]), some, times)
-        assert once.tolist() == [float(k) for k in slots]
-        assert twice.tolist() == [float(k) ** 2 for k in slots]
+        times = [float(k) for k in slots]
+        told = replays("twice", lambda s, k: (torch.stack([rows[s], k * rows[s]], 1), None), slots, times)
+        assert told == [[k, k**2] for k in times]
     assert replays.count == 3  # of 2 rows, 4 and 32, each after the first time
+
+
+def test_recordings_write_what_the_work_writes() -> None:
+    """After it has read, all rows but those that are done again; a row twice in a call, where it has too few, once."""
+    kept, replays = torch.tensor([1.0, 2.0, -3.0, 4.0]), Replays(CPU, on=True)
+
+    def doubled(s: torch.Tensor) -> tuple[None, replay.Write]:
+        now = kept[s]
+        sign = -1.0 if rare(now < 0) else 1.0
+
+        def write(which: torch.Tensor | None) -> None:
+            put(s, (kept,), (2 * sign * now,), which)
+
+        return None, write
+
+    for slots, wanted in (([0], [2, 2, -3, 4]), ([0], [4, 2, -3, 4]), ([3, 2], [4, 2, 6, 8]), ([1], [4, 4, 6, 8])):
+        assert replays("doubled", doubled, slots) == [0.0] * len(slots)
+        assert kept.tolist() == wanted
+    assert (replays.count, replays.again) == (3, 1)
+
+
+def test_a_larger_recording_serves_a_call_that_fills_half_of_it() -> None:
+    replays, sizes = Replays(CPU, on=True), list[int]()
+
+    def work(s: torch.Tensor) -> tuple[torch.Tensor, None]:
+        sizes.append(len(s))
+        return s, None
+
+    for count in (7, 8, 3, 1, 2, 3):
+        assert replays("same", work, list(range(count))) == list(range(count))
+    assert sizes == [7, 8, 8, 1, 2, 8]  # 2 rows would be a quarter of it
 
 
 def test_sizes_of_recordings_are_few_and_large_enough() -> None:
@@ -103,16 +133,16 @@ def test_calls_fill_their_recordings_unless_they_are_small() -> None:
 def test_scenes_that_meet_something_rare_are_done_again() -> None:
     rows, replays, done = torch.tensor([1.0, 4.0, -9.0]), Replays(CPU, on=True), []
 
-    def roots(s: torch.Tensor) -> tuple[torch.Tensor]:
+    def roots(s: torch.Tensor) -> tuple[torch.Tensor, None]:
         done.append(replay.recording())
-        return (rows[s].abs().sqrt(),) if rare(rows[s] < 0) else (rows[s].sqrt(),)
+        return rows[s].abs().sqrt() if rare(rows[s] < 0) else rows[s].sqrt(), None
 
-    found = [replays("roots", roots, index_of(slots, CPU))[0].tolist() for slots in ([0], [1], [1, 2], [2, 0])]
+    found = [replays("roots", roots, slots) for slots in ([0], [1], [1, 2], [2, 0])]
     assert found == [[1.0], [2.0], [2.0, 3.0], [3.0, 1.0]]
     assert done == [False, True, True, False, True, False]
     assert (replays.count, replays.again) == (3, 2)
     replays.forget()
-    replays("roots", roots, index_of([0], CPU))
+    replays("roots", roots, [0])
     assert done[-1] is False
 
 
@@ -156,18 +186,18 @@ def test_scenes_in_refilled_slots_end_the_same_by_recorded_work(monkeypatch: pyt
 @pytest.mark.usefixtures("watched")
 def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [small(SphereSdf(1.5), path((0, 0, -0.3)))] * 2
-    b, s = batch(scenes), index_of([0, 1], CPU)
+    b, rows = batch(scenes), [0, 1]
     b.t.x[:] = b.X
     b.t.x[1, :, 2] *= 0.55  # all cells squeezed below J0
     b.t.x[0, int(b.topology.conn[4, 6])] -= 0.4
-    eager = b.gradient(s, b.t.x[s])[1]
+    eager = b.gradient(b.slots(rows), b.t.x[rows])[1]
     b.replays = Replays(CPU, on=True)
 
     recorded = []
 
-    def work(s: torch.Tensor) -> tuple[torch.Tensor]:
+    def work(s: torch.Tensor) -> tuple[torch.Tensor, None]:
         recorded.append(replay.recording())
-        return (b.gradient(s, b.t.x[s])[1],)
+        return b.gradient(s, b.t.x[s])[1].flatten(1), None
 
     cells = len(b.topology.conn)
     for most, again, last in (((4, 4), 3, False), ((4, cells), 2, True), ((cells, cells), 0, True)):
@@ -175,18 +205,27 @@ def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.M
         b.replays.forget()
         b.replays.again = 0
         for _ in range(3):
-            (found,) = b.replays("forces", work, s)
+            found = torch.tensor(b.replays("forces", work, rows), dtype=eager.dtype).view_as(eager)
             assert (found - eager).abs().max() < 1e-12 * eager.abs().max()
         assert (b.replays.again, recorded[-1]) == (again, last)
 
 
-def test_factors_give_way_to_other_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun, replays, keys = list[Any](), Replays(CPU, on=True), (("factor", 1), ("contact", 1), "plain")
-    monkeypatch.setattr(devices, "giving_way", lambda device: begun.append(device) or nullcontext())
-    for key in keys:
+def test_factors_are_recorded_in_a_stream_that_is_not_urgent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GPU gives room to blocks of urgent streams first; a graph has the priority of the stream it was recorded in."""
+    made, where, replays = list[bool](), list[Any](), Replays(CPU, on=True)
+    monkeypatch.setattr(devices, "stream", lambda device, urgent: made.append(urgent) or f"urgent: {urgent}")
+    recording = replay._Recording
+
+    def recorded(*given: Any) -> Any:
+        where.append(given[4][0])
+        return recording(*given)
+
+    monkeypatch.setattr(replay, "_Recording", recorded)
+    for key in (("factor", 1), ("contact", 1), "plain"):
         for _ in range(3):  # first without a recording
-            replays(key, lambda s: (s,), index_of([0], CPU))
-    assert begun == [CPU, CPU]
+            replays(key, lambda s: (s, None), [0])
+    assert where == ["urgent: False", "urgent: True", "urgent: True"]
+    assert made == [False, True]
 
 
 @pytest.mark.parametrize("short", [[True, False], [True, True]])
@@ -194,20 +233,18 @@ def test_recordings_make_room_for_others(short: list[bool], monkeypatch: pytest.
     """All are given up where memory is short; where that is of no use, work is done without."""
     rows, replays, done = torch.arange(10.0), Replays(CPU, on=True), []
 
-    def double(s: torch.Tensor) -> tuple[torch.Tensor]:
+    def double(s: torch.Tensor) -> tuple[torch.Tensor, None]:
         done.append(replay.recording())
-        return (2 * rows[s],)
+        return 2 * rows[s], None
 
     def doubled() -> tuple[list[float], bool]:
-        (out,) = replays("double", double, index_of([3, 1], CPU))
-        return out.tolist(), done[-1]
+        return replays("double", double, [3, 1]), done[-1]
 
     assert [doubled() for _ in range(3)] == [([6.0, 2.0], recorded) for recorded in (False, True, True)]
     answers = iter(short)
     monkeypatch.setattr(devices, "full", lambda device: next(answers, False))
-    (other,) = replays("other", double, index_of([4], CPU))
-    (other,) = replays("other", double, index_of([4], CPU))
-    assert (other.tolist(), done[-1]) == ([8.0], not all(short))
+    replays("other", double, [4])
+    assert (replays("other", double, [4]), done[-1]) == ([8.0], not all(short))
     assert replays.on != all(short)  # no call looks for memory again
     assert doubled() == ([6.0, 2.0], False)  # anew
 
