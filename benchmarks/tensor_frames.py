@@ -113,7 +113,7 @@ def scene_of(index: int, quality: str) -> Scene | None:
 class Report:
     """What one process has solved: forces (frames, 3) [N] by draw, of ended scenes; frames by the second of the clock
     in which they were solved, those of other scenes too; seconds of each kernel, and its calls; seconds in all; why
-    scenes did not end, and which; the most memory used [bytes]."""
+    scenes did not end, and which; the most memory used [bytes]; seconds of a core."""
 
     forces: dict[int, Array] = field(default_factory=dict)
     frames: Counter[int] = field(default_factory=Counter)
@@ -124,6 +124,7 @@ class Report:
     why: Counter[str] = field(default_factory=Counter)
     left: list[int] = field(default_factory=list)
     memory: float = 0.0
+    cores: float = 0.0
     process: int = field(default_factory=os.getpid)
 
     def watch(
@@ -151,7 +152,7 @@ def batched(plans: list[Planned], told: argparse.Namespace) -> Report:
         STARTED.append(time.time())
     cuda = usable[0].startswith("cuda")
     engine.advance = out.watch(ADVANCE, cuda)  # type: ignore[assignment]
-    out.begun, sizes = time.time(), {"slots": told.slots, "memory": memory}
+    out.begun, out.cores, sizes = time.time(), -time.process_time(), {"slots": told.slots, "memory": memory}
     try:
         for number, found in pool.solved(plans, usable[0], dtype=dtype, use=out.use, **sizes):
             out.forces[number] = forces_of(found.states)
@@ -164,7 +165,8 @@ def batched(plans: list[Planned], told: argparse.Namespace) -> Report:
     except RuntimeError as error:  # as in `run`, the CPU engine has the scenes that are left
         out.why[f"a process stopped: {str(error).splitlines()[0][:90]}"] += len(plans) - len(out.forces)
         out.left += [plan.number for plan in plans if plan.number not in out.forces]
-    out.ended, out.memory = time.time(), torch.cuda.max_memory_reserved() if cuda else 0.0
+    out.ended, out.cores = time.time(), out.cores + time.process_time()
+    out.memory = torch.cuda.max_memory_reserved() if cuda else 0.0
     return out
 
 
@@ -189,6 +191,8 @@ def merged(found: list[Report]) -> dict[int, Array]:
         f" others {ended} frames in {elapsed:.1f} s: {ended / elapsed:.1f} a second, {busiest:.1f} of all in the best"
         f" {WINDOW} s; {mean:.1f} scenes a call, {sum(memory.values()):.1f} GB"
     )
+    busy, cores = sum(report.ended - report.begun for report in found), sum(report.cores for report in found)
+    print(f"  {busy / elapsed:.1f} processes are busy on average, with {cores / elapsed:.1f} cores")
     begun = min(frames)
     by_window = Counter[int]()
     for second, count in frames.items():

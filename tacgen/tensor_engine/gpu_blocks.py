@@ -106,31 +106,17 @@ def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.co
 
 @triton.jit
 def _inverted(M, SIZE: tl.constexpr):
-    """M^-1 by Gauss-Jordan elimination in place, without pivots, and whether all pivots are positive; columns are read
-    from rows of N = M^T."""
+    """M^-1 by Gauss-Jordan elimination in place, without pivots, and whether all pivots are positive. A thread has a
+    column, and asks that of each pivot for its numbers by shuffles."""
     i, j, each = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :], tl.arange(0, SIZE)
-    N = tl.where(i == j, M, tl.trans(M))  # the same; with M in it a compiler gives columns to threads as those of M
-    positive = 1
+    positive = tl.full((SIZE,), 1, tl.int32)
     for k in tl.static_range(SIZE):
-        along, down = _picked(M, i == k, 0), _picked(N, i == k, 0)
-        pivot = _picked(along, each == k, 0)
+        down = tl.gather(M, tl.full((SIZE, SIZE), k, tl.int32), 1)
+        along, pivot = tl.where(each == k, 1.0, _picked(M, i == k, 0)), _picked(down, i == k, 0)
         positive = tl.where(pivot > 0, positive, 0)
-        along = tl.where(each == k, 1.0, along) / pivot
-        M = tl.where(i == k, along[None, :], tl.where(j == k, 0.0, M) - down[:, None] * along[None, :])
-        N = tl.where(i > k, tl.where(j == k, 0.0, N) - along[:, None] * tl.where(each == k, -1.0, down)[None, :], N)
-    return M, positive
-
-
-@triton.jit(do_not_specialize=SIZES)
-def _pivots(W, D, POSITIVE, at, n, block, row, SIZE: tl.constexpr):
-    """A step of Gauss-Jordan elimination by blocks: the inverse D (b, SIZE, SIZE) of the block on the diagonal."""
-    which = tl.program_id(0).to(tl.int64)
-    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    inside, other = (at + i < n) & (at + j < n), tl.where(i == j, 1.0, 0.0)
-    M = tl.load(W + which * block + (at + i) * row + at + j, mask=inside, other=other)
-    X, positive = _inverted(M, SIZE)
-    tl.store(D + which * SIZE * SIZE + i * SIZE + j, X)
-    tl.store(POSITIVE + which, tl.load(POSITIVE + which, mask=at > 0, other=1) & positive)
+        along = along * (1.0 / pivot)
+        M = tl.where(i == k, along[None, :], tl.where(j == k, 0.0, M) - down * along[None, :])
+    return M, tl.min(positive, 0)
 
 
 @triton.jit
@@ -142,14 +128,20 @@ def _columns(tile, at, n, width, later, SIZE: tl.constexpr):
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _pivot_rows(W, D, at, n, width, later, block, row, SIZE: tl.constexpr):
-    """Rows from `at` on times that, in the columns of A behind it, which are `later` tiles, and in those of B."""
-    which = tl.program_id(0).to(tl.int64)
-    i, each = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+def _pivot_rows(W, POSITIVE, at, n, width, later, block, row, SIZE: tl.constexpr):
+    """A step of Gauss-Jordan elimination by blocks: rows from `at` on times the inverse of their block on the diagonal,
+    in the columns of A behind it, which are `later` tiles, and in those of B. All programs invert it: that takes less
+    time than another launch."""
+    which, i, each = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     start, limit = _columns(tl.program_id(1), at, n, width, later, SIZE)
-    place, inside = W + which * block + (at + i) * row + start + each, (at + i < n) & (start + each < limit)
-    rows, X = tl.load(place, mask=inside, other=0.0), tl.load(D + which * SIZE * SIZE + i * SIZE + each)
-    tl.store(place, tl.dot(X, rows, input_precision=PRECISION), mask=inside)
+    rows = W + which * block + (at + i) * row
+    there, other = (at + i < n) & (at + each < n), tl.where(i == each, 1.0, 0.0)
+    X, positive = _inverted(tl.load(rows + at + each, mask=there, other=other), SIZE)
+    inside = (at + i < n) & (start + each < limit)
+    old = tl.load(rows + start + each, mask=inside, other=0.0)
+    tl.store(rows + start + each, tl.dot(X, old, input_precision=PRECISION), mask=inside)
+    if tl.program_id(1) == 0:
+        tl.store(POSITIVE + which, tl.load(POSITIVE + which, mask=at > 0, other=1) & positive)
 
 
 @triton.jit(do_not_specialize=SIZES)
@@ -190,12 +182,11 @@ def lower_inverse(A: Tensor) -> Tensor:
 def eliminate(W: Tensor, n: int) -> Tensor:
     """reduction.eliminate, of matrices of any size."""
     s, _, width = W.shape
-    D, positive = W.new_empty(s, STEP, STEP), torch.empty(s, dtype=torch.int32, device=W.device)
+    positive = torch.empty(s, dtype=torch.int32, device=W.device)
     for at in range(0, n, STEP):
         later = triton.cdiv(max(n - at - STEP, 0), STEP)
         tiles, sizes, block = later + triton.cdiv(width - n, STEP), (at, n, width, later), (W.stride(0), W.stride(1))
-        _pivots[(s,)](W, D, positive, at, n, *block, SIZE=STEP, **ALONE)
-        _pivot_rows[(s, tiles)](W, D, *sizes, *block, SIZE=STEP, **ALONE)
+        _pivot_rows[(s, tiles)](W, positive, *sizes, *block, SIZE=STEP, **ALONE)
         _other_rows[(s, triton.cdiv(n, STEP), tiles)](W, *sizes, *block, SIZE=STEP, **ALONE)
     return positive > 0
 
