@@ -1,7 +1,7 @@
 """What a GPU computes in one launch is what NumPy and PyTorch compute; without a GPU by Triton's interpreter."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -41,6 +41,7 @@ from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine import test_elements
+from tensor_engine.compiling import compiled
 from tensor_engine.test_contact import SHAPES, Case
 from tensor_engine.test_multifrontal import matrices
 
@@ -49,15 +50,19 @@ DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
 
 @pytest.fixture(autouse=True)
-def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices."""
+def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices; and what
+    is interpreted is compiled, too."""
     if DEVICE == "cuda":
+        yield
         return
 
     def number(end: object) -> int:
         return int(np.ravel(getattr(getattr(end, "handle", end), "data", end))[0])
 
     monkeypatch.setattr(interpreter, "range", lambda *ends: range(*map(number, ends)), raising=False)
+    with compiled():
+        yield
 
 
 def close(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-11) -> bool:

@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -25,6 +25,7 @@ from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact_newton import Iterates, TriedStep
 from tacgen.tensor_engine.replay import Replays
 from tensor_engine.batches import batch, path, small, solve
+from tensor_engine.compiling import compiled
 from tensor_engine.dense import Dense
 from tensor_engine.test_contact import Case
 
@@ -37,6 +38,13 @@ VIEWS = {"view", "expand", "slice", "select", "unsqueeze", "squeeze", "transpose
 VIEWS |= {"unbind", "alias", "detach", "empty", "empty_like", "new_empty", "split", "diagonal", "expand_as"}
 # of work on scenes, with kernels where there were hundreds: where scenes are few that is its time
 LAUNCHES = {"contact": 57, "search": 59, "measure": 64, "load": 23}
+
+
+@pytest.fixture(autouse=True)
+def interpreted() -> Iterator[None]:
+    """What is interpreted is compiled, too."""
+    with compiled() if DEVICE == "cpu" else nullcontext():
+        yield
 
 
 def tensor(values: Any) -> torch.Tensor:
