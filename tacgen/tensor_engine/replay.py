@@ -105,14 +105,14 @@ class Replays:
             devices.cleared(str(self.device))
 
     def __call__(self, key: Hashable, work: Work, rows: Sequence[int], *numbers: Sequence[float]) -> list[Any]:
-        """What work tells of slots `rows`, and numbers of them, by row, 0 if nothing; key: all else that it depends on.
+        """Do work for slots `rows`, and numbers of them; key: all else that it depends on. By row what it tells, or 0.
         The first call with a key and a size of call is not recorded: libraries and constants are made."""
         return self._called(key, work, rows, numbers, False) if self.on else self._eagerly(work, rows, numbers)
 
     def _called(
         self, key: Hashable, work: Work, rows: Sequence[int], numbers: Sequence[Sequence[float]], roomy: bool
     ) -> list[Any]:
-        """What work tells by a recording, which has room for many or for few of what is rare."""
+        """Do work by a recording, which has room for many or for few of what is rare."""
         at = key, (size := self._size(key, len(rows), roomy)), roomy
         if at not in self._recorded:
             self._recorded[at] = None
@@ -211,7 +211,7 @@ class _Recording:
         now.wait_stream(stream)
 
     def replay(self, rows: Sequence[int], numbers: Sequence[Sequence[float]]) -> tuple[list[Any], list[int]]:
-        """What work tells of these rows, and the places of those that met something rare."""
+        """Do work: what it tells of these rows, and the places of those that met something rare."""
         more = self.size - len(rows)
         for at, each in zip(self.sent.numpy(), (rows, *numbers), strict=True):
             at[:] = [*each, *[each[0]] * more]
