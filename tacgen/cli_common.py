@@ -2,6 +2,7 @@
 
 import errno
 import math
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +14,7 @@ from typer.core import TyperGroup
 
 from tacgen import output_file
 from tacgen.errors import LeftOut, UserError, printable
-from tacgen.terminal import open_standard_streams, say
+from tacgen.terminal import dropping, open_standard_streams, say
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
@@ -34,7 +35,16 @@ class Commands(TyperGroup):
     def main(self, *args: Any, **more: Any) -> Any:
         """The whole program."""
         open_standard_streams()
-        return super().main(*args, **more)
+        try:
+            return super().main(*args, **more)
+        except OSError as error:
+            if error.errno not in (*DISK_ERRORS, *SCARCE):
+                raise
+            place = f"{error.filename}: " if error.filename else ""
+            say(printable(f"{place}{error.strerror}"), err=True)
+            with dropping(sys.stdout):  # what a full disk has not taken would fail again on exit, with another code
+                sys.stdout.flush()
+            sys.exit(2)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Refuse what no file name can hold; only programs that call commands in their own process can give it."""
@@ -50,12 +60,6 @@ class Commands(TyperGroup):
         except UserError as error:
             for line in error.lines:
                 say(line, err=True)
-            raise typer.Exit(2) from None
-        except OSError as error:
-            if error.errno not in (*DISK_ERRORS, *SCARCE):
-                raise
-            place = f"{error.filename}: " if error.filename else ""
-            say(printable(f"{place}{error.strerror}"), err=True)
             raise typer.Exit(2) from None
         except (KeyboardInterrupt, SystemError, MemoryError, ImportError) as error:
             if (cause := _cause(error)) is None:

@@ -50,7 +50,13 @@ def test_a_run_goes_on_when_nobody_reads_what_it_prints(tmp_path: Path, streams:
     assert check(tmp_path / "out") == []
 
 
-def test_results_that_nobody_gets_are_no_success(tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", ["show out", "list sensors", "--version", "--help"])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_results_that_nobody_gets_are_no_success(
+    tmp_path: Path, command: str, unbuffered: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether Python writes at once or what is left when it ends."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     make(make_plan(tmp_path, 1).rows[0], tmp_path / "out")
-    assert shell(tmp_path, "TACGEN show out >/dev/full 2>said") == 2
-    assert "No space left" in (tmp_path / "said").read_text()
+    assert shell(tmp_path, f"TACGEN {command} >/dev/full 2>said") == 2
+    assert (tmp_path / "said").read_text() == "No space left on device\n"

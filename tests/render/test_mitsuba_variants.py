@@ -30,7 +30,8 @@ def test_a_wrong_llvm_library_is_a_no_and_not_the_end_of_the_process(tmp_path):
 
 
 def test_a_child_that_aborts_is_a_no(monkeypatch):
-    monkeypatch.setattr(mitsuba_variants, "PROBE", "import os, sys; sys.stderr.write('LLVM ERROR: boom'); os.abort()")
+    probe = "import os; os.write(2, b'LLVM ERROR: boom'); os.abort()"  # written at once, as LLVM does
+    monkeypatch.setattr(mitsuba_variants, "PROBE", probe)
     found = mitsuba_variants.probe(mitsuba_variants.LLVM, "any.so")
     assert found == (mitsuba_variants.LLVM, "any.so", False, "killed by signal 6: LLVM ERROR: boom")
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -160,6 +161,31 @@ def test_scenes_solved_by_recorded_work_end_where_others_do() -> None:
             assert np.abs(state.x - same.x).max() < 1e-9
             assert state.least_J == pytest.approx(same.least_J, abs=0.01)
     assert recorded.replays.count > 50
+
+
+@pytest.mark.usefixtures("watched")
+def test_scenes_end_the_same_where_recordings_are_done_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A third of the rows of each call, as if they had met something rare: what was found for them is not written."""
+    slide = path((0, 0, -0.3), (0.25, 0.1, -0.35))
+    scenes = [small(SphereSdf(radius), slide, friction=0.5) for radius in (1.5, 1.2, 1.0)]
+    wanted, doubtful, record, calls = solve(batch(scenes), scenes), batch(scenes), Replays._record, count()
+
+    def doubted(self: Replays, work: replay.Work, *more: Any) -> Any:
+        def doubting(s: torch.Tensor, *numbers: torch.Tensor) -> Any:
+            done = work(s, *numbers)
+            rare((s + next(calls)) % 3 == 0)
+            return done
+
+        return record(self, doubting, *more)
+
+    monkeypatch.setattr(Replays, "_record", doubted)
+    doubtful.replays = Replays(CPU, on=True)
+    for one, other in zip(solve(doubtful, scenes), wanted, strict=True):
+        assert one.why is None
+        for state, same in zip(one.states, other.states, strict=True):
+            assert state.iterations == same.iterations
+            assert np.abs(state.x - same.x).max() < 1e-9
+    assert doubtful.replays.again > 20
 
 
 @pytest.mark.usefixtures("watched")
