@@ -103,8 +103,8 @@ def test_a_larger_recording_serves_a_call_that_fills_half_of_it() -> None:
         sizes.append(len(s))
         return s, None
 
-    for count in (7, 8, 3, 1, 2, 3):
-        assert replays("same", work, list(range(count))) == list(range(count))
+    for rows in (7, 8, 3, 1, 2, 3):
+        assert replays("same", work, list(range(rows))) == list(range(rows))
     assert sizes == [7, 8, 8, 1, 2, 8]  # 2 rows would be a quarter of it
 
 
