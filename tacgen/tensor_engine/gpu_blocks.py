@@ -1,5 +1,5 @@
 """Inverse factors of matrices and solutions of systems on a GPU, by Triton: a warp inverts 32 rows, and larger matrices
-go in steps of as many, of two or three launches. And products of matrices in slots, which PyTorch would copy first.
+go in steps of as many, of two launches. And products of matrices in slots, which PyTorch would copy first.
 
 In plain operations these are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.solve, of numbers of
 single precision. Imported only where there is a GPU.

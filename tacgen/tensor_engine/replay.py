@@ -113,15 +113,14 @@ class Replays:
         self, key: Hashable, work: Work, rows: Sequence[int], numbers: Sequence[Sequence[float]], roomy: bool
     ) -> list[Any]:
         """Do work by a recording, which has room for many or for few of what is rare."""
-        at = key, (size := self._size(key, len(rows), roomy)), roomy
+        at = key, self._size(key, len(rows), roomy), roomy
         if at not in self._recorded:
             self._recorded[at] = None
             return self._eagerly(work, rows, numbers)
-        slow = isinstance(key, tuple) and key[0] in SLOW
-        recorded = self._recorded[at] or self._record(work, size, len(numbers), roomy, slow)
+        recorded = self._recorded[at] or self._record(work, at, len(numbers))
         if recorded is None:
             self.forget()  # those that are used will be recorded again
-            recorded = self._record(work, size, len(numbers), roomy, slow)
+            recorded = self._record(work, at, len(numbers))
         if recorded is None:
             self.on = False  # else each call would look for memory again
             return self._eagerly(work, rows, numbers)
@@ -145,11 +144,12 @@ class Replays:
         least = padded(rows)
         return next((size for size in (least, 2 * least) if self._recorded.get((key, size, roomy))), least)
 
-    def _record(self, work: Work, size: int, numbers: int, roomy: bool, slow: bool) -> "_Recording | None":
-        """A new recording; None: there is no memory for it."""
+    def _record(self, work: Work, at: tuple[Hashable, int, bool], numbers: int) -> "_Recording | None":
+        """A new recording for a key, so many rows, and with room for many or few; None: there is no memory for it."""
         if devices.full(self.device):
             return None
-        if slow not in self._streams:
+        key, size, roomy = at
+        if (slow := isinstance(key, tuple) and key[0] in SLOW) not in self._streams:
             self._streams[slow] = devices.stream(self.device, urgent=not slow)
         if self._pool is None and self.device.type == "cuda":
             self._pool = torch.cuda.graph_pool_handle()
