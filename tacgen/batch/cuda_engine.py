@@ -1,8 +1,8 @@
 """Scenes solved many at once on a GPU, while worker processes label, draw and write those that are solved.
 
-A solution reaches its worker through a file in the dataset's folder, as soon as it is there. A scene for which the
-batch engine lacks something, or which it does not solve, is solved by its worker as without a GPU, and its bundle says
-why.
+A solution reaches its worker through a file in the dataset's folder, as soon as it is there. Scenes that would keep
+others waiting are put off, and solved together when all of their chunk have had their turn. A scene for which the batch
+engine lacks something, or which it does not solve, is solved by its worker as without a GPU, and its bundle says why.
 """
 
 import os
@@ -19,7 +19,7 @@ from itertools import cycle
 from multiprocessing import get_context
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tacgen import __version__
 from tacgen.batch import solution_file
@@ -44,6 +44,13 @@ LOOK_S = 0.1  # between looks for new solutions
 FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
 SOLVED = f"{__name__}:run_scene"
+
+
+class SolvedPart(NamedTuple):
+    """Notes on the run from a part of a chunk, and names of its scenes that were put off."""
+
+    notes: Sequence[str] = ()
+    late: Sequence[str] = ()
 
 
 @contextmanager
@@ -73,8 +80,8 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         ) -> list[SceneResult]:
             solutions = _Solutions(_unfinished(rows, folder, overwrite), folder, on_event)
 
-            def begin(some: Sequence[Row]) -> list[Future[list[str]]]:
-                return _begun(some, folder, devices, solving, count, mapped)
+            def begin(some: Sequence[Row], patient: bool) -> list[Future[SolvedPart]]:
+                return _begun(some, folder, devices, solving, count, mapped, patient)
 
             solved = ahead.submit(solutions.make, begin)
 
@@ -104,15 +111,16 @@ class _Solutions:
         self._rows, self._folder, self._on_event = rows, folder, on_event
         self._places = {row.name: _place(folder, row) for row in rows}
         self._ended, self._notes, self._closed = set[str](), deque[str](), Event()
-        self._chunks = deque[tuple[Sequence[Row], list[Future[list[str]]]]]()
+        self._chunks = deque[tuple[Sequence[Row], list[Future[SolvedPart]]]]()
         self._there, self._seen = set[str](), 0.0  # names of solutions when they were last looked for
         self._clear()  # what a killed run has left may be another recipe's
         (folder / FOLDER).mkdir(exist_ok=True)
 
-    def make(self, begin: Callable[[Sequence[Row]], list[Future[list[str]]]]) -> None:
-        """Write them, chunk by chunk, by a function that begins a chunk and returns its parts, with notes on the run.
+    def make(self, begin: Callable[[Sequence[Row], bool], list[Future[SolvedPart]]]) -> None:
+        """Write them, chunk by chunk, by a function that begins a chunk, patiently or not, and returns its parts.
 
-        A chunk is begun while the one before is solved: a process without a part of that takes one of the next.
+        A chunk is begun while the one before is solved: a process without a part of that takes one of the next. Scenes
+        that a chunk has put off are another chunk, so that which ones share a pattern does not depend on the time.
         """
         for k in range(0, len(self._rows), CHUNK):
             while k - len(self._ended) > CHUNK and not self._closed.wait(1.0):
@@ -120,16 +128,21 @@ class _Solutions:
             if self._closed.is_set():
                 return
             some = self._rows[k : k + CHUNK]
-            self._chunks.append((some, begin(some)))
+            self._chunks.append((some, begin(some, False)))
             if len(self._chunks) > 1:
-                self._finish(*self._chunks[0])
+                self._finish(begin)
         while self._chunks:
-            self._finish(*self._chunks[0])
+            self._finish(begin)
 
-    def _finish(self, rows: Sequence[Row], parts: Sequence[Future[list[str]]]) -> None:
-        """Wait for the first chunk that is begun; a reason for each of its scenes that has no solution."""
+    def _finish(self, begin: Callable[[Sequence[Row], bool], list[Future[SolvedPart]]]) -> None:
+        """Wait for the first chunk that is begun, and begin with what it has put off; a reason for each of its other
+        scenes that has no solution."""
+        (rows, parts), late = self._chunks[0], set[str]()
         try:
-            self._notes += [note for part in parts for note in part.result()]
+            for part in parts:
+                notes, names = part.result()
+                self._notes += notes
+                late.update(names)
         except BrokenProcessPool:
             self._notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
         except CancelledError:
@@ -137,8 +150,10 @@ class _Solutions:
         self._chunks.popleft()
         if self._closed.is_set():  # the folder of solutions is gone
             return
+        if again := [row for row in rows if row.name in late]:
+            self._chunks.append((again, begin(again, True)))
         for row in rows:
-            if not self._places[row.name].exists() and row.name not in self._ended:
+            if not self._places[row.name].exists() and row.name not in self._ended | late:
                 why = "solved by the CPU engine: the batch engine stopped before this scene"
                 solution_file.write(self._places[row.name], SolvedScene("", why=why))
 
@@ -231,21 +246,27 @@ def _unfinished(rows: Sequence[Row], folder: Path, overwrite: bool) -> list[Row]
 
 
 def _begun(
-    rows: Sequence[Row], folder: Path, devices: Sequence[str], solving: Executor, count: int, mapped: Mapped
-) -> list[Future[list[str]]]:
-    """Begin to write a solution for each row, or why there is none, in parts that return notes on the run; where a
-    process has died, a part that has failed."""
+    rows: Sequence[Row],
+    folder: Path,
+    devices: Sequence[str],
+    solving: Executor,
+    count: int,
+    mapped: Mapped,
+    patient: bool,
+) -> list[Future[SolvedPart]]:
+    """Begin to write a solution for each row, or why there is none, in parts; where a process has died, a part that has
+    failed. patient: no scene is put off."""
     from tacgen.tensor_engine.planning import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
     parts, share = divided(plans, count), -(-count // len(devices))
     try:
         return [
-            solving.submit(_solve, {k: rows[k] for k in part}, [plans[k] for k in part], folder, device, share)
+            solving.submit(_solve, {k: rows[k] for k in part}, [plans[k] for k in part], folder, device, share, patient)
             for part, device in zip(parts, cycle(devices), strict=False)
         ]
     except BrokenProcessPool as error:
-        failed = Future[list[str]]()
+        failed = Future[SolvedPart]()
         failed.set_exception(error)
         return [failed]
 
@@ -261,41 +282,49 @@ def _planned(numbered: tuple[int, Row]) -> "Planned":
     return Planned.of((number, scene if scene.forced is None else presolve.rough(scene)))
 
 
-def _solve(rows: Mapping[int, Row], plans: Sequence["Planned"], folder: Path, device: str, share: int) -> list[str]:
-    """Write a solution for each of some rows, or why there is none; `share`: processes that share the device."""
+def _solve(
+    rows: Mapping[int, Row], plans: Sequence["Planned"], folder: Path, device: str, share: int, patient: bool
+) -> SolvedPart:
+    """Write a solution for each of some rows that are not put off, or why there is none; `share`: processes that share
+    the device."""
     from tacgen.tensor_engine.device import chosen, named
 
-    memory = chosen(device, MEMORY / share)
+    memory, late = chosen(device, MEMORY / share), list[str]()
     versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
     by = f"batch engine on {named(device)}, {versions}"
     try:
-        for k, solved, heights in _solutions(rows, plans, device, memory):
+        for k, solved, heights in _solutions(rows, plans, device, memory, patient):
+            if solved.late:
+                late.append(rows[k].name)
+                continue
             solution = SolvedScene(by, solved.states, heights=heights)
             if solved.why is not None:
                 solution = SolvedScene(by, why=f"solved by the CPU engine: {solved.why}")
             solution_file.write(_place(folder, rows[k]), solution)
     except RuntimeError as error:  # PyTorch's, as when the GPU's memory is full: the workers solve what is left
-        return [f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"]
-    return []
+        stopped = f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"
+        return SolvedPart([stopped], late)
+    return SolvedPart(late=late)
 
 
 def _solutions(
-    rows: Mapping[int, Row], plans: Sequence["Planned"], device: str, memory: float
+    rows: Mapping[int, Row], plans: Sequence["Planned"], device: str, memory: float, patient: bool
 ) -> Iterator[tuple[int, "Solved", Sequence[float]]]:
     """Solutions of some rows by their numbers, with the heights that presolve found."""
     from tacgen.mechanics import presolve
     from tacgen.tensor_engine import pool
     from tacgen.tensor_engine.planning import Planned
 
+    solve = partial(pool.solved, device=device, memory=memory, patient=patient)
     rough = {plan.number for plan in plans if plan.scene and plan.scene.forced}
     ready, heights = [plan for plan in plans if plan.number not in rough], dict[int, list[float]]()
-    for k, solved in pool.solved([plan for plan in plans if plan.number in rough], device, memory=memory):
+    for k, solved in solve([plan for plan in plans if plan.number in rough]):
         if solved.why is None and isinstance(scene := scene_of(rows[k]), Scene):
             heights[k] = [float(state.pose[2, 3]) for state in solved.states]
             ready.append(Planned.of((k, presolve.refined(scene, heights[k]))))
         else:
             yield k, solved, ()
-    for k, solved in pool.solved(ready, device, memory=memory):
+    for k, solved in solve(ready):
         yield k, solved, heights.get(k, ())
 
 

@@ -36,10 +36,11 @@ KERNELS: dict[Phase, Callable[[Batch, list[int]], list[Outcome]]] = {
 @dataclass(frozen=True)
 class Solved:
     """The states of a scene's frames, up to the first that the batch engine could not solve; why: its failure, None if
-    all are there."""
+    all are there; late: it was put off, since others would have waited for it."""
 
     states: list[State]
     why: NotConverged | str | None
+    late: bool = False
 
 
 def advance(b: Batch, phase: Phase, rows: list[int]) -> None:

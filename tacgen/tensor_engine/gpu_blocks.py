@@ -14,7 +14,8 @@ PRECISION = tl.constexpr("ieee")  # of products, see tl.dot
 STEP = 32  # rows of a matrix that are eliminated at once, and that one program inverts
 TILE = 64  # rows and columns of a product that a program computes
 ALONE = {"num_warps": 1, "num_stages": 1}  # one warp, and no loads before their turn: it reads what it wrote
-SIZES = ("at", "n", "width", "later", "block", "row", "length")  # no code of its own for each value that they may have
+# no code of its own for each value that they may have
+SIZES = ("first", "at", "n", "width", "later", "block", "row", "length")
 
 
 @triton.jit
@@ -127,32 +128,49 @@ def _columns(tile, at, n, width, later, SIZE: tl.constexpr):
     return tl.where(in_A, at + SIZE * (1 + tile), n + SIZE * (tile - later)), tl.where(in_A, n, width)
 
 
+@triton.jit
+def _own(USED, SLOTS, which, first, n, GIVEN: tl.constexpr):
+    """Rows of a scene's matrix, from `first` on, that are not those of the unit matrix."""
+    own = n
+    if GIVEN:
+        own = (tl.load(USED + tl.load(SLOTS + which)) - first).to(tl.int32)
+    return own
+
+
 @triton.jit(do_not_specialize=SIZES)
-def _pivot_rows(W, POSITIVE, at, n, width, later, block, row, SIZE: tl.constexpr):
+def _pivot_rows(
+    W, POSITIVE, USED, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
+):  # fmt: skip
     """A step of Gauss-Jordan elimination by blocks: rows from `at` on times the inverse of their block on the diagonal,
     in the columns of A behind it, which are `later` tiles, and in those of B. All programs invert it: that takes less
     time than another launch."""
     which, i, each = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    own = _own(USED, SLOTS, which, first, n, GIVEN)
     start, limit = _columns(tl.program_id(1), at, n, width, later, SIZE)
-    rows = W + which * block + (at + i) * row
-    there, other = (at + i < n) & (at + each < n), tl.where(i == each, 1.0, 0.0)
-    X, positive = _inverted(tl.load(rows + at + each, mask=there, other=other), SIZE)
-    inside = (at + i < n) & (start + each < limit)
-    old = tl.load(rows + start + each, mask=inside, other=0.0)
-    tl.store(rows + start + each, tl.dot(X, old, input_precision=PRECISION), mask=inside)
+    positive = 1
+    if (at < own) & ((start < own) | (start >= n)):
+        rows = W + which * block + (at + i) * row
+        there, other = (at + i < n) & (at + each < n), tl.where(i == each, 1.0, 0.0)
+        X, positive = _inverted(tl.load(rows + at + each, mask=there, other=other), SIZE)
+        inside = (at + i < n) & (start + each < limit)
+        old = tl.load(rows + start + each, mask=inside, other=0.0)
+        tl.store(rows + start + each, tl.dot(X, old, input_precision=PRECISION), mask=inside)
     if tl.program_id(1) == 0:
         tl.store(POSITIVE + which, tl.load(POSITIVE + which, mask=at > 0, other=1) & positive)
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _other_rows(W, at, n, width, later, block, row, SIZE: tl.constexpr):
+def _other_rows(
+    W, USED, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
+):  # fmt: skip
     """Subtract these rows from all others."""
-    first = tl.program_id(1) * SIZE
-    if first != at:
-        W += tl.program_id(0).to(tl.int64) * block
+    which, top = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE
+    own = _own(USED, SLOTS, which, first, n, GIVEN)
+    start, limit = _columns(tl.program_id(2), at, n, width, later, SIZE)
+    if (top != at) & (top < own) & (at < own) & ((start < own) | (start >= n)):
+        W += which * block
         each = tl.arange(0, SIZE)
-        start, limit = _columns(tl.program_id(2), at, n, width, later, SIZE)
-        i, j, pivots = first + each[:, None], start + each[None, :], at + each < n
+        i, j, pivots = top + each[:, None], start + each[None, :], at + each < n
         P = tl.load(W + i * row + at + each[None, :], mask=(i < n) & pivots[None, :], other=0.0)
         Q = tl.load(W + (at + each[:, None]) * row + j, mask=pivots[:, None] & (j < limit), other=0.0)
         place, inside = W + i * row + j, (i < n) & (j < limit)
@@ -179,15 +197,16 @@ def lower_inverse(A: Tensor) -> Tensor:
     return info
 
 
-def eliminate(W: Tensor, n: int) -> Tensor:
+def eliminate(W: Tensor, n: int, used: tuple[Tensor, Tensor] | None = None, first: int = 0) -> Tensor:
     """reduction.eliminate, of matrices of any size."""
     s, _, width = W.shape
+    given, own = used is not None, used or (W, W)
     positive = torch.empty(s, dtype=torch.int32, device=W.device)
     for at in range(0, n, STEP):
         later = triton.cdiv(max(n - at - STEP, 0), STEP)
-        tiles, sizes, block = later + triton.cdiv(width - n, STEP), (at, n, width, later), (W.stride(0), W.stride(1))
-        _pivot_rows[(s, tiles)](W, positive, *sizes, *block, SIZE=STEP, **ALONE)
-        _other_rows[(s, triton.cdiv(n, STEP), tiles)](W, *sizes, *block, SIZE=STEP, **ALONE)
+        tiles, sizes = later + triton.cdiv(width - n, STEP), (first, at, n, width, later, W.stride(0), W.stride(1))
+        _pivot_rows[(s, tiles)](W, positive, *own, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
+        _other_rows[(s, triton.cdiv(n, STEP), tiles)](W, *own, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
     return positive > 0
 
 

@@ -10,6 +10,8 @@ from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import grids, scope
 from tacgen.tensor_engine.grids import GridPattern
 
+LEAST = 12  # scenes of a part: fewer take about as long, as their longest one does
+
 
 @dataclass(frozen=True)
 class Planned:
@@ -57,7 +59,7 @@ def divided(plans: Sequence[Planned], parts: int) -> list[list[int]]:
     each = [(grids.time_of(pattern, len(group)), group) for (pattern, _), group in pools(plans).items()]
     whole, out = sum(time for time, _ in each), list[tuple[float, list[int]]]()
     for time, group in each:
-        count = min(math.ceil(parts * time / whole), len(group))  # none takes longer than a process's share
+        count = min(math.ceil(parts * time / whole), math.ceil(len(group) / LEAST))  # no more than a process's share
         out += [(time / count, group[k::count]) for k in range(count)]
     found = [group for _, group in sorted(out, key=lambda part: -part[0])] or [[]]
     found[-1] += [k for k, plan in enumerate(plans) if plan.pattern is None]

@@ -1,5 +1,6 @@
 """Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
@@ -24,9 +25,10 @@ from tacgen.tensor_engine.multifrontal import Multifrontal
 from tacgen.tensor_engine.planning import Planned, pools
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
-# A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So the CPU engine
-# has those that took more kernel calls for their frames and trials of a force so far, and for some more, than ordinary
-# ones, which take 50 each; and of each pool, where no more wait, this part.
+# A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So put off are
+# those that took more kernel calls for their frames and trials of a force so far, and for some more, than ordinary
+# ones, which take 50 each; and of each pool, where no more wait, this part. They are solved again together, to their
+# end: multilevel feedback (Corbato, Merwin-Daggett, Daley 1962).
 MOST_CALLS, MORE_FRAMES, LAST = 120, 3, 0.06
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 3_000, 6_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
@@ -36,10 +38,11 @@ HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # k
 
 
 class Kind(NamedTuple):
-    """A kind of work of a kernel: what of a contact's step is next, and the class of its nodes."""
+    """A kind of work of a kernel: what of a contact's step is next, and the class of its nodes, 0 where that matters
+    little."""
 
     part: PartOfStep = PartOfStep.COUPLED
-    nodes: int = 1
+    nodes: int = 0
 
 
 @dataclass(frozen=True)
@@ -64,40 +67,46 @@ class PreparedScene:
 class ScenePool:
     """Slots of scenes of one pattern, whose facets have equally many contact points; see scheduler.Slots."""
 
-    def __init__(self, first: Sequence[PreparedScene], tree: Dissection, device: str, dtype: torch.dtype) -> None:
-        """As many slots as there are scenes, which come first into them, in this order."""
+    def __init__(
+        self, first: Sequence[PreparedScene], tree: Dissection, device: str, dtype: torch.dtype, calls: float = math.inf
+    ) -> None:
+        """As many slots as there are scenes, which come first into them, in this order. calls: a frame may have so many
+        before its scene is put off."""
         pattern, self.count, self._first = tree.pattern, len(first), dict(enumerate(first))
         topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
         factors = Condensed(Multifrontal(tree, device, dtype), self.count)
         problems, places = zip(*((scene.problem, scene.grid) for scene in first), strict=True)
         self.batch = Batch.of(problems, places, topology, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
-        self._calls: dict[int, int] = {}  # that a scene may still have
+        self._most, self._calls = calls, dict[int, float]()  # calls that a scene may still have
 
     def enter(self, slot: int, scene: PreparedScene) -> None:
         """Put a scene into an empty slot, before its first frame."""
         if self._first.pop(slot, None) is not scene:
             refill.fill(self.batch, slot, scene.problem, scene.grid)
+            self.batch.replays.entered(slot)
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
-        self._calls[slot] = MOST_CALLS * (MORE_FRAMES + 1)
+        self._calls[slot] = self._most * (MORE_FRAMES + 1)
         next(self._frames[slot], None)
 
     def phase(self, slot: int) -> Phase | None:
         """The kernel for which the scene in a slot waits; None: all its frames are solved, or one could not be."""
         course = self.batch.courses[slot]
         if self._calls[slot] <= 0 and course.phase not in FINAL:
-            course.why = f"more than {MOST_CALLS} kernel calls a frame"
             return None
         if course.phase in FINAL:
             if next(self._frames[slot], None) is None:
                 return None
-            self._calls[slot] += MOST_CALLS
+            self._calls[slot] += self._most
         return course.phase
 
     def kind(self, slot: int) -> Kind:
-        """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next."""
+        """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next. Steps
+        act on what a scene has of them."""
         course = self.batch.courses[slot]
-        return Kind(course.part_of_step, width_class(course.nodes)) if course.phase in DENSE else Kind()
+        stepping = course.phase is Phase.contact and course.part_of_step is not PartOfStep.REDUCE
+        nodes = width_class(course.nodes) if course.phase in DENSE and not stepping else 0
+        return Kind(course.part_of_step if course.phase is Phase.contact else PartOfStep.COUPLED, nodes)
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -106,12 +115,11 @@ class ScenePool:
             self._calls[slot] -= 1
 
     def leave(self, slot: int) -> Solved:
-        """The states of the scene in a slot, which has ended or is among the last."""
+        """The states of the scene in a slot, which has ended or is put off."""
         del self._frames[slot]
         course = self.batch.courses[slot]
-        if course.phase not in FINAL and course.why is None:
-            course.why = "the last scenes of a batch"
-        return Solved(course.states, course.why)
+        late = course.phase not in FINAL and course.why is None
+        return Solved(course.states, f"put off after {len(course.states)} frames" if late else course.why, late)
 
 
 def solved(
@@ -123,12 +131,14 @@ def solved(
     share: bool = True,
     memory: float = devices.CPU_MEMORY,
     use: scheduler.Use | None = None,
+    patient: bool = True,
 ) -> Iterator[tuple[int, Solved]]:
     """Numbers of scenes, in their order or as they were planned, and their solutions, in the order in which they end;
     those that the batch engine lacks something for, which have no state, come first.
 
     dtype: of the factors. slots: most scenes at once. share: whether scenes of some patterns are put into a larger one.
-    memory: [bytes] to use. use: where calls are counted.
+    memory: [bytes] to use. use: where calls are counted. patient: whether scenes are solved to their end that take far
+    more calls than others; else they are put off.
     """
     plans = [each if isinstance(each, Planned) else Planned.of((k, each)) for k, each in enumerate(scenes)]
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
@@ -137,7 +147,7 @@ def solved(
         tree, ready = dissected(pattern), map(PreparedScene.of, some)
         devices.cleared(device)
         room = Room.of(tree, memory)
-        yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use)
+        yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use, patient)
 
 
 def _solved(
@@ -148,20 +158,22 @@ def _solved(
     device: str,
     dtype: torch.dtype,
     use: scheduler.Use | None,
+    patient: bool,
 ) -> Iterator[tuple[int, Solved]]:
     """Numbers of scenes of one pattern and their solutions."""
     first, pool = list(islice(ready, count)), None
-    count = len(first)
+    count, calls = len(first), math.inf if patient else MOST_CALLS
     while pool is None:
         try:
-            pool = ScenePool(first[:count], tree, device, dtype)
+            pool = ScenePool(first[:count], tree, device, dtype, calls)
         except torch.OutOfMemoryError:  # `room` is an estimate
             if count == 1:
                 raise
             count //= 2
         if pool is None:  # what the error has held is free by now
             devices.cleared(device)
-    for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use, int(LAST * pool.count)):
+    last = 0 if patient else int(LAST * pool.count)
+    for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use, last):
         yield scene.number, found
 
 
@@ -190,7 +202,6 @@ class Room:
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:
         """How many of so many scenes that wait go into one call."""
-        stepping = phase is Phase.contact and kind.part is not PartOfStep.REDUCE  # works on the kept unknowns
-        rows = min(3 * kind.nodes, KEPT_FIRST) if stepping else 3 * kind.nodes
+        rows = 3 * kind.nodes or KEPT_FIRST  # a step works on the kept unknowns
         each = MATRIX * rows**2 if phase in DENSE else self.each.get(phase, 0.0)
         return replay.fitting(waiting, int(self.work / max(each, 1.0)))

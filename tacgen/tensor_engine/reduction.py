@@ -20,6 +20,7 @@ from tacgen.tensor_engine.replay import rare
 EXACT = 1e-2
 NOWHERE = -(2**31)  # the place of padding
 ALIGNED = 4  # numbers at whose multiples rows of a system start, for the library's products
+Own = tuple[Tensor, Tensor]  # numbers of rows by slot (capacity,), and slots (s,)
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,8 @@ class Reduction:
         K is not singular or, if symmetric, is positive definite."""
         to, b, slots = b.dtype, b.to(K.dtype), self.slots
         lost, used = _picked(b, self.lost), self.used
-        x, good = solved(K, _picked(b, self.kept, slot_times(self.X, slots, lost, True, used))[..., None], symmetric)
+        rest = _picked(b, self.kept, slot_times(self.X, slots, lost, True, used))
+        x, good = solved(K, rest[..., None], symmetric, (used[1], slots))
         x = x.squeeze(-1)
         G = slot_times(self.G, slots, lost, used=(used[0], used[0]))
         X = slot_times(self.X, slots, x, used=used)
@@ -73,11 +75,12 @@ def _padded(b: Tensor) -> Tensor:
     return torch.nn.functional.pad(b, (0, 1))
 
 
-def solved(K: Tensor, b: Tensor, symmetric: bool = False) -> tuple[Tensor, Tensor]:
+def solved(K: Tensor, b: Tensor, symmetric: bool = False, own: Own | None = None) -> tuple[Tensor, Tensor]:
     """x (s, a, 1) of K x = b, and which K (s, a, a) are regular or, if symmetric, positive definite: by LU with pivots
-    or Cholesky's method, or on a GPU as below."""
+    or Cholesky's method, or on a GPU as below. own: numbers of rows of each slot's matrix (capacity,), and slots (s,),
+    beyond which K is the unit matrix and b is 0."""
     if K.is_cuda and K.dtype == torch.float32:
-        return solved_by_elimination(K, b, symmetric)
+        return solved_by_elimination(K, b, symmetric, own)
     if symmetric:
         L, info = torch.linalg.cholesky_ex(K)
         return torch.cholesky_solve(b, L), info == 0
@@ -85,14 +88,16 @@ def solved(K: Tensor, b: Tensor, symmetric: bool = False) -> tuple[Tensor, Tenso
     return torch.linalg.lu_solve(LU, pivots, b), info == 0
 
 
-def solved_by_elimination(K: Tensor, b: Tensor, symmetric: bool = False) -> tuple[Tensor, Tensor]:
+def solved_by_elimination(
+    K: Tensor, b: Tensor, symmetric: bool = False, own: Own | None = None
+) -> tuple[Tensor, Tensor]:
     """As `solved`, without pivots where that is exact enough for a step of Newton's method: much faster on a GPU."""
     n = K.shape[1]
     if not n:  # nothing touches
         return b, torch.ones(len(K), dtype=torch.bool, device=K.device)
     W = K.new_empty(len(K), n, n // ALIGNED * ALIGNED + 2 * ALIGNED)[..., : n + 1]
     W[..., :n], W[..., n:] = K, b
-    positive, x = eliminate(W, n), W[..., n:].contiguous()
+    positive, x = eliminate(W, n, own), W[..., n:].contiguous()
     if symmetric:
         return x, positive
     good = _exact(b, K @ x)
@@ -112,16 +117,17 @@ def _exact(b: Tensor, product: Tensor) -> Tensor:
     return (b - product).abs().amax((1, 2)) <= EXACT * b.abs().amax((1, 2))
 
 
-def eliminate(W: Tensor, n: int) -> Tensor:
+def eliminate(W: Tensor, n: int, own: Own | None = None, first: int = 0) -> Tensor:
     """Overwrite B of W = [A | B] (s, n, n + m) by A^-1 B, by Gauss-Jordan elimination without pivots, of blocks;
-    numbers in A mean nothing afterwards, nor do others of a scene where a block is singular.
+    numbers in A mean nothing afterwards, nor do others of a scene where a block is singular. own: as in `solved`, of a
+    matrix whose rows before `first` are not those of W; on a GPU nothing is done for others.
 
     Returns which A (s,), if they are symmetric, are positive definite.
     """
     if n <= BASE and W.is_cuda and W.dtype == torch.float32:
         from tacgen.tensor_engine import gpu_blocks
 
-        return gpu_blocks.eliminate(W, n)
+        return gpu_blocks.eliminate(W, n, own, first)
     if n <= BASE:
         A, B = W[..., :n], W[..., n:]
         positive = torch.linalg.cholesky_ex(A)[1] == 0
@@ -129,9 +135,9 @@ def eliminate(W: Tensor, n: int) -> Tensor:
         return positive
     k = half(n)
     above, below = W[:, :k], W[:, k:]
-    positive = eliminate(above, k)
+    positive = eliminate(above, k, own, first)
     below[..., k:].baddbmm_(below[..., :k], above[..., k:], alpha=-1)
-    positive = positive & eliminate(below[..., k:], n - k)
+    positive = positive & eliminate(below[..., k:], n - k, own, first + k)
     above[..., n:].baddbmm_(above[..., k:n], below[..., n:], alpha=-1)
     return positive
 

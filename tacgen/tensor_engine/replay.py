@@ -7,7 +7,8 @@ between two calls the recordings do, and what the host sends and is told are an 
 
 Where work goes on otherwise for a few scenes, it asks `rare`, and is done again for these: where it had `room` for too
 few, by a recording with room for many, else without. So what it reads it must not write, but at its end, which is left
-out for these. A scene's results must not depend on the others of a call.
+out for these. Scenes that once needed room are given it from then on. A scene's results must not depend on the others
+of a call.
 """
 
 import gc
@@ -95,6 +96,7 @@ class Replays:
         self.device, self.on = device, device.type == "cuda" if on is None else on
         self.count = self.again = 0  # replays, and scenes of them that were done again
         self._recorded: dict[Hashable, _Recording | None] = {}
+        self._wide = set[tuple[Hashable, int]]()  # kinds of work and slots of scenes that needed room for many
         self._pool: Any = None  # of memory, which recordings share since they never run at once
         self._streams: dict[bool, Any] = {}  # to record in: those of work that gives way, and of all other
 
@@ -107,7 +109,19 @@ class Replays:
     def __call__(self, key: Hashable, work: Work, rows: Sequence[int], *numbers: Sequence[float]) -> list[Any]:
         """Do work for slots `rows`, and numbers of them; key: all else that it depends on. By row what it tells, or 0.
         The first call with a key and a size of call is not recorded: libraries and constants are made."""
-        return self._called(key, work, rows, numbers, False) if self.on else self._eagerly(work, rows, numbers)
+        if not self.on:
+            return self._eagerly(work, rows, numbers)
+        wide, told = [(_kind(key), row) in self._wide for row in rows], [0.0] * len(rows)
+        for roomy in sorted({*wide}):
+            at = [k for k, each in enumerate(wide) if each is roomy]
+            found = self._called(key, work, [rows[k] for k in at], [[each[k] for k in at] for each in numbers], roomy)
+            for k, one in zip(at, found, strict=True):
+                told[k] = one
+        return told
+
+    def entered(self, row: int) -> None:
+        """Another scene is in a slot."""
+        self._wide = {each for each in self._wide if each[1] != row}
 
     def _called(
         self, key: Hashable, work: Work, rows: Sequence[int], numbers: Sequence[Sequence[float]], roomy: bool
@@ -130,11 +144,11 @@ class Replays:
         if missed:
             self.again += len(missed)
             some, theirs = [rows[k] for k in missed], [[each[k] for k in missed] for each in numbers]
-            again = (
-                self._called(key, work, some, theirs, True)
-                if recorded.bounded and not roomy
-                else self._eagerly(work, some, theirs)
-            )
+            if recorded.bounded and not roomy:
+                self._wide.update((_kind(key), row) for row in some)
+                again = self._called(key, work, some, theirs, True)
+            else:
+                again = self._eagerly(work, some, theirs)
             for k, one in zip(missed, again, strict=True):
                 told[k] = one
         return told
@@ -149,7 +163,7 @@ class Replays:
         if devices.full(self.device):
             return None
         key, size, roomy = at
-        if (slow := isinstance(key, tuple) and key[0] in SLOW) not in self._streams:
+        if (slow := _kind(key) in SLOW) not in self._streams:
             self._streams[slow] = devices.stream(self.device, urgent=not slow)
         if self._pool is None and self.device.type == "cuda":
             self._pool = torch.cuda.graph_pool_handle()
@@ -169,6 +183,11 @@ class Replays:
         if write is not None:
             write(None)
         return [0.0] * len(rows) if told is None else told.tolist()
+
+
+def _kind(key: Hashable) -> Hashable:
+    """The kind of work of a key, which begins with it."""
+    return key[0] if isinstance(key, tuple) else key
 
 
 class _Recording:

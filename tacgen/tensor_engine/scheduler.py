@@ -74,7 +74,7 @@ def run(
     """Scenes with their results, in the order in which they end. `scenes` is read only as slots become free.
 
     fitting: how many of so many that wait for a kernel and a kind of its work are called. use: where calls are counted.
-    last: where no others are left, so many are given up, after some more calls.
+    last: where no others are left, so many are put off, after some more calls.
     """
     waiting, free, late = iter(scenes), list(range(slots.count))[::-1], 0
     inside, moved = dict[int, Scene](), list[int]()  # slots whose scenes have gone on, and do not wait yet

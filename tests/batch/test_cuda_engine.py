@@ -27,6 +27,7 @@ from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
+from tacgen.tensor_engine import planning
 
 pytestmark = pytest.mark.usefixtures("kept_workers")
 TWO = """vary: {samples: 2, seed: 1, over: {indenter.radius_mm: {uniform: [2.5, 3.5]}}}
@@ -88,8 +89,8 @@ def test_a_solution_is_labelled_without_another_coarse_solve(
     (row,) = planned(tmp_path, "press: {force_n: 1, frames: 1}").rows
     (tmp_path / cuda_engine.FOLDER).mkdir()
     with ThreadPoolExecutor(1) as solving:
-        (part,) = cuda_engine._begun([row], tmp_path, ["cpu"], solving, 1, map)
-        assert not part.result()
+        (part,) = cuda_engine._begun([row], tmp_path, ["cpu"], solving, 1, map, True)
+        assert part.result() == ((), [])
     monkeypatch.setattr(presolve, "presolved", lambda scene: pytest.fail("solved again"))
     assert cuda_engine.run_scene(row, tmp_path).status == "ok"
 
@@ -143,13 +144,13 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
     first, second = made.rows
     waited = list[bool]()
 
-    def solve(folder: Path) -> list[str]:
+    def solve(folder: Path) -> cuda_engine.SolvedPart:
         solution_file.write(folder / cuda_engine.FOLDER / f"{second.name}.npz", SolvedScene("", why="solved first"))
         end = time.monotonic() + 60
         while not (out / f"{second.name}.h5").exists() and time.monotonic() < end:
             time.sleep(0.05)
         waited.append((out / f"{second.name}.h5").exists() and not (out / f"{first.name}.h5").exists())
-        return ["all solved"]
+        return cuda_engine.SolvedPart(["all solved"])
 
     def begun(rows: list[Row], folder: Path, devices: object, solving: Executor, *how: object) -> list[Any]:
         return [solving.submit(solve, folder)]
@@ -171,12 +172,12 @@ def test_a_chunk_is_begun_while_the_one_before_is_solved(tmp_path: Path, monkeyp
     made, out = planned(tmp_path, more=TWO.replace("samples: 2", "samples: 3")), tmp_path / "out"
     log, second = list[str](), Event()
 
-    def solve(name: str, place: Path) -> list[str]:
+    def solve(name: str, place: Path) -> cuda_engine.SolvedPart:
         if name == made.rows[0].name:
             assert second.wait(60)
         log.append(f"{name} solved")
         solution_file.write(place, SolvedScene("", why="of no matter"))
-        return []
+        return cuda_engine.SolvedPart()
 
     def begun(rows: list[Row], folder: Path, devices: object, solving: Executor, *how: object) -> list[Any]:
         (row,) = rows
@@ -200,6 +201,35 @@ def test_a_chunk_is_begun_while_the_one_before_is_solved(tmp_path: Path, monkeyp
     assert not (out / cuda_engine.FOLDER).exists()
 
 
+def test_scenes_that_are_put_off_are_solved_together_at_last(
+    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tacgen.tensor_engine import pool
+
+    solve, begun, calls = pool.solved, cuda_engine._begun, list[tuple[list[str], bool]]()
+
+    def watched(rows: list[Row], *how: Any) -> Any:
+        calls.append(([row.name for row in rows], how[-1]))
+        return begun(rows, *how)
+
+    def hasty(plans: list[Any], *, patient: bool, **how: Any) -> Any:
+        """The second scene of a chunk is put off."""
+        for k, found in solve(plans, patient=patient, **how):
+            yield k, found if patient or k != 1 else replace(found, late=True)
+
+    monkeypatch.setattr(cuda_engine, "_begun", watched)
+    monkeypatch.setattr(pool, "solved", hasty)
+    made = planned(tmp_path, more=TWO)
+    assert [each.status for each in batch.run(made, tmp_path / "out", engine="cuda")] == ["ok", "ok"]
+    one, two = (row.name for row in made.rows)
+    assert calls == [([one, two], False), ([two], True)]
+    for name in (one, two):
+        bundle = read(tmp_path / "out" / f"{name}.h5")
+        assert bundle.attrs["solver"].startswith("batch engine on cpu, torch ")
+        assert "CPU engine" not in bundle.attrs.get("notes", "")
+    assert not (tmp_path / "out" / cuda_engine.FOLDER).exists()
+
+
 def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu: None, tmp_path: Path) -> None:
     (row,) = planned(tmp_path).rows
 
@@ -210,15 +240,15 @@ def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu
     with Dead(1) as solving:
         events: list[dict[str, Any]] = []
         solutions = cuda_engine._Solutions([row], tmp_path, events.append)
-        solutions.make(lambda rows: cuda_engine._begun(rows, tmp_path, ["cpu"], solving, 1, map))
+        solutions.make(lambda rows, patient: cuda_engine._begun(rows, tmp_path, ["cpu"], solving, 1, map, patient))
         assert solutions.has(row)
         solutions.close()
         assert "a process of the batch engine died" in events[0]["note"]
         assert not (tmp_path / cuda_engine.FOLDER).exists()
-        waiting = Future[list[str]]()
+        waiting = Future[cuda_engine.SolvedPart]()
         with ThreadPoolExecutor(1) as ahead:
             closed = cuda_engine._Solutions([row], tmp_path, events.append)
-            made = ahead.submit(closed.make, lambda rows: [waiting])
+            made = ahead.submit(closed.make, lambda rows, patient: [waiting])
             while not closed._chunks:
                 time.sleep(0.01)
             closed.close()
@@ -299,7 +329,10 @@ def _modules() -> list[str]:
 
 
 @pytest.mark.slow
-def test_several_processes_solve_side_by_side_and_again_the_same_bytes(on_cpu: None, tmp_path: Path) -> None:
+def test_several_processes_solve_side_by_side_and_again_the_same_bytes(
+    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, "LEAST", 1)  # scenes of a part
     assert cuda_engine.solvers(4, 1) == 2
     for folder in ("out", "again"):
         results = batch.run(planned(tmp_path, more=TWO), tmp_path / folder, engine="cuda", workers=4)

@@ -130,7 +130,7 @@ def test_each_trial_has_kernel_calls_of_its_own(monkeypatch: pytest.MonkeyPatch)
     """In the one slot, after another scene: a frame takes some four trials."""
     monkeypatch.setattr(pool, "MOST_CALLS", 45)
     made = forced(small(BALL, path((0, 0, -0.3))), [0.3])
-    for _, solved in pool.solved([small(BALL, path((0, 0, -0.2))), made], slots=1, share=False):
+    for _, solved in pool.solved([small(BALL, path((0, 0, -0.2))), made], slots=1, share=False, patient=False):
         assert solved.why is None
     assert normal_force(solved.states[0]) == pytest.approx(0.3, rel=DEFAULT.force_tol)
 

@@ -158,6 +158,25 @@ def test_solutions_by_elimination(size: int, columns: int) -> None:
     assert (W == 7.0).all()
 
 
+@pytest.mark.parametrize("first", [0, 20])
+def test_rows_beyond_those_of_a_scene_are_not_read(first: int) -> None:
+    """But for those of its last block; of the second half of a matrix, too."""
+    r, size, slots, own = np.random.default_rng(0), 100, torch.tensor([1, 3, 4, 0]), torch.tensor([0, 20, 7, 37, 100])
+    A, B = (torch.tensor(r.normal(size=(4, size, n)), dtype=torch.float32) for n in (size, 1))
+    A += 6 * size**0.5 * torch.eye(size)
+    wanted = torch.zeros(4, size, 1)
+    for k, n in enumerate(own[slots].tolist()):
+        A[k, n:], A[k, :, n:], B[k, n:] = 0.0, 0.0, 0.0
+        A[k, range(n, size), range(n, size)] = 1.0
+        wanted[k] = torch.linalg.solve(A[k], B[k])
+        block = -(-n // gpu_blocks.STEP) * gpu_blocks.STEP
+        A[k, block:, block:] = torch.nan
+    W = torch.cat([A, B], 2).to(DEVICE)
+    given = (own + first).to(DEVICE), slots.to(DEVICE)
+    assert gpu_blocks.eliminate(W, size, given, first).all()
+    assert close(W[..., size:].contiguous(), wanted, 2e-5)
+
+
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("size", [40, 130])
 def test_the_first_minor_that_is_not_positive_is_told(size: int) -> None:

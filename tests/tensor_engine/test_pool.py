@@ -13,7 +13,7 @@ from helpers.presses import gel, scene
 from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.phases import Phase
-from tacgen.tensor_engine import grids, pool, refill, scheduler
+from tacgen.tensor_engine import grids, planning, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.planning import Planned, divided, pools
@@ -85,20 +85,25 @@ def test_a_scene_with_other_contact_points_is_refused():
         refill.fill(slots.batch, 0, other.problem, other.grid)
 
 
-def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
+def test_a_scene_that_goes_on_for_long_is_put_off(monkeypatch):
     monkeypatch.setattr(pool, "MOST_CALLS", 9)
-    found = dict(pool.solved([SCENES[0], SCENES[1]], slots=1))
-    assert len(found[0].states) == 1
-    assert found[0].why is None
+    found = dict(pool.solved([SCENES[0], SCENES[1]], slots=1, patient=False))
+    assert (len(found[0].states), found[0].why, found[0].late) == (1, None, False)
     assert len(found[1].states) < 2
-    assert found[1].why == "more than 9 kernel calls a frame"
+    assert (found[1].why, found[1].late) == (f"put off after {len(found[1].states)} frames", True)
 
 
-def test_the_last_scenes_of_a_pool_are_left_to_the_cpu_engine(monkeypatch):
+def test_the_last_scenes_of_a_pool_are_put_off(monkeypatch):
     monkeypatch.setattr(pool, "LAST", 0.5)
     monkeypatch.setattr(scheduler, "GRACE", 0)
-    found = dict(pool.solved(SCENES[:2]))
-    assert sorted(str(each.why) for each in found.values()) == ["None", "the last scenes of a batch"]
+    assert sorted(each.late for _, each in pool.solved(SCENES[:2], patient=False)) == [False, True]
+
+
+def test_no_scene_is_put_off_by_a_patient_solver(monkeypatch):
+    monkeypatch.setattr(pool, "LAST", 0.5)
+    monkeypatch.setattr(pool, "MOST_CALLS", 0)
+    monkeypatch.setattr(scheduler, "GRACE", 0)
+    assert [(each.why, each.late) for _, each in pool.solved(SCENES[:2])] == [(None, False)] * 2
 
 
 @pytest.mark.parametrize("most", [1, 0])
@@ -162,9 +167,13 @@ def test_parts_for_processes_have_scenes_of_one_pool(monkeypatch: pytest.MonkeyP
         return divided([Planned(k, pattern=pattern) for k, pattern in enumerate(patterns)], count)
 
     patterns = [small, None, large, small, large, small, small, large]
-    assert parts(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]  # all in the larger one
+    assert parts(patterns, 2) == [[0, 2, 3, 4, 5, 6, 7, 1]]  # all in the larger one, and too few for two processes
+    monkeypatch.setattr(planning, "LEAST", 1)
+    assert parts(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]
     monkeypatch.setattr(grids, "LARGE", 100)  # where a scene takes as the square of its cells
     assert parts(patterns, 4) == [[2], [4], [7], [0, 5], [3, 6, 1]]  # none takes more than a quarter
+    monkeypatch.setattr(planning, "LEAST", 2)
+    assert parts(patterns, 4) == [[2, 7], [4], [0, 5], [3, 6, 1]]
     assert parts([small], 4) == [[0]]
     assert parts([None, None], 4) == [[0, 1]]
     assert parts([], 4) == []
