@@ -38,11 +38,10 @@ HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # k
 
 
 class Kind(NamedTuple):
-    """A kind of work of a kernel: what of a contact's step is next, and the class of its nodes, 0 where that matters
-    little."""
+    """A kind of work of a kernel: what of a contact's step is next, and the class of its nodes."""
 
     part: PartOfStep = PartOfStep.COUPLED
-    nodes: int = 0
+    nodes: int = 1
 
 
 @dataclass(frozen=True)
@@ -101,12 +100,9 @@ class ScenePool:
         return course.phase
 
     def kind(self, slot: int) -> Kind:
-        """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next. Steps
-        act on what a scene has of them."""
+        """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next."""
         course = self.batch.courses[slot]
-        stepping = course.phase is Phase.contact and course.part_of_step is not PartOfStep.REDUCE
-        nodes = width_class(course.nodes) if course.phase in DENSE and not stepping else 0
-        return Kind(course.part_of_step if course.phase is Phase.contact else PartOfStep.COUPLED, nodes)
+        return Kind(course.part_of_step, width_class(course.nodes)) if course.phase in DENSE else Kind()
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -202,6 +198,7 @@ class Room:
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:
         """How many of so many scenes that wait go into one call."""
-        rows = 3 * kind.nodes or KEPT_FIRST  # a step works on the kept unknowns
+        stepping = phase is Phase.contact and kind.part is not PartOfStep.REDUCE  # works on the kept unknowns
+        rows = min(3 * kind.nodes, KEPT_FIRST) if stepping else 3 * kind.nodes
         each = MATRIX * rows**2 if phase in DENSE else self.each.get(phase, 0.0)
         return replay.fitting(waiting, int(self.work / max(each, 1.0)))
