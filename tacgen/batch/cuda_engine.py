@@ -104,6 +104,17 @@ def _started(stack: ExitStack, count: int, first: Callable[..., object], *args: 
     return pool
 
 
+Begin = Callable[[Sequence[Row], bool], list[Future[SolvedPart]]]
+
+
+class _Chunk(NamedTuple):
+    """Rows that are solved together, patiently or not, in parts."""
+
+    rows: Sequence[Row]
+    parts: Sequence[Future[SolvedPart]]
+    patient: bool
+
+
 class _Solutions:
     """Solutions of rows on their way to the workers, as files that are there until their scenes have ended."""
 
@@ -111,35 +122,39 @@ class _Solutions:
         self._rows, self._folder, self._on_event = rows, folder, on_event
         self._places = {row.name: _place(folder, row) for row in rows}
         self._ended, self._notes, self._closed = set[str](), deque[str](), Event()
-        self._chunks = deque[tuple[Sequence[Row], list[Future[SolvedPart]]]]()
+        self._chunks = list[_Chunk]()  # those that are begun
         self._there, self._seen = set[str](), 0.0  # names of solutions when they were last looked for
         self._clear()  # what a killed run has left may be another recipe's
         (folder / FOLDER).mkdir(exist_ok=True)
 
-    def make(self, begin: Callable[[Sequence[Row], bool], list[Future[SolvedPart]]]) -> None:
+    def make(self, begin: Begin) -> None:
         """Write them, chunk by chunk, by a function that begins a chunk, patiently or not, and returns its parts.
 
         A chunk is begun while the one before is solved: a process without a part of that takes one of the next. Scenes
         that a chunk has put off are another chunk, so that which ones share a pattern does not depend on the time.
         """
         for k in range(0, len(self._rows), CHUNK):
-            while k - len(self._ended) > CHUNK and not self._closed.wait(1.0):
-                pass
-            if self._closed.is_set():
-                return
+            while k - len(self._ended) > CHUNK or sum(not chunk.patient for chunk in self._chunks) > 1:
+                if not self._wait(begin):
+                    return
             some = self._rows[k : k + CHUNK]
-            self._chunks.append((some, begin(some, False)))
-            if len(self._chunks) > 1:
-                self._finish(begin)
-        while self._chunks:
-            self._finish(begin)
+            self._chunks.append(_Chunk(some, begin(some, False), False))
+        while self._chunks and self._wait(begin):
+            pass
 
-    def _finish(self, begin: Callable[[Sequence[Row], bool], list[Future[SolvedPart]]]) -> None:
-        """Wait for the first chunk that is begun, and begin with what it has put off; a reason for each of its other
-        scenes that has no solution."""
-        (rows, parts), late = self._chunks[0], set[str]()
+    def _wait(self, begin: Begin) -> bool:
+        """Wait a moment, or finish a chunk whose parts have ended; whether the run goes on."""
+        for chunk in self._chunks:
+            if all(part.done() for part in chunk.parts):
+                self._finish(chunk, begin)
+                return not self._closed.is_set()
+        return not self._closed.wait(LOOK_S)
+
+    def _finish(self, chunk: _Chunk, begin: Begin) -> None:
+        """Begin with what a chunk has put off; a reason for each of its other scenes that has no solution."""
+        late = set[str]()
         try:
-            for part in parts:
+            for part in chunk.parts:
                 notes, names = part.result()
                 self._notes += notes
                 late.update(names)
@@ -147,12 +162,12 @@ class _Solutions:
             self._notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
         except CancelledError:
             pass
-        self._chunks.popleft()
+        self._chunks = [each for each in self._chunks if each is not chunk]
         if self._closed.is_set():  # the folder of solutions is gone
             return
-        if again := [row for row in rows if row.name in late]:
-            self._chunks.append((again, begin(again, True)))
-        for row in rows:
+        if again := [row for row in chunk.rows if row.name in late]:
+            self._chunks.append(_Chunk(again, begin(again, True), True))
+        for row in chunk.rows:
             if not self._places[row.name].exists() and row.name not in self._ended | late:
                 why = "solved by the CPU engine: the batch engine stopped before this scene"
                 solution_file.write(self._places[row.name], SolvedScene("", why=why))
@@ -174,8 +189,8 @@ class _Solutions:
     def close(self) -> None:
         """No more solutions are needed."""
         self._closed.set()
-        for _, parts in list(self._chunks):
-            for part in parts:
+        for chunk in list(self._chunks):
+            for part in chunk.parts:
                 part.cancel()
         self._tell()
         self._clear()

@@ -230,6 +230,29 @@ def test_scenes_that_are_put_off_are_solved_together_at_last(
     assert not (tmp_path / "out" / cuda_engine.FOLDER).exists()
 
 
+def test_chunks_whose_scenes_are_all_put_off_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No chunk waits for scenes that are begun only after it."""
+    count, patiently = 7, list[str]()
+    made = planned(tmp_path, more=TWO.replace("samples: 2", f"samples: {count}"))
+
+    def solve(row: Row, folder: Path, patient: bool) -> cuda_engine.SolvedPart:
+        if not patient:
+            return cuda_engine.SolvedPart(late=[row.name])
+        patiently.append(row.name)
+        solution_file.write(folder / cuda_engine.FOLDER / f"{row.name}.npz", SolvedScene("", why="of no matter"))
+        return cuda_engine.SolvedPart()
+
+    def begun(rows: list[Row], folder: Path, devices: object, solving: Executor, *how: Any) -> list[Any]:
+        return [solving.submit(solve, row, folder, how[-1]) for row in rows]
+
+    monkeypatch.setattr(cuda_engine, "CHUNK", 1)
+    monkeypatch.setattr(cuda_engine, "_begun", begun)
+    monkeypatch.setattr(cuda_engine, "usable_devices", lambda: ["cpu"])
+    results = batch.run(made, tmp_path / "out", engine="cuda")
+    assert [each.status for each in results] == ["ok"] * count
+    assert sorted(patiently) == [row.name for row in made.rows]
+
+
 def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu: None, tmp_path: Path) -> None:
     (row,) = planned(tmp_path).rows
 
