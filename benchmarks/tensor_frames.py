@@ -62,6 +62,8 @@ def main() -> None:
             with gpu_board.watched() as board:
                 for patient in (False, True):  # as `run` does
                     late = {draw for report in found for draw in report.late}
+                    if late:
+                        print(f"{len(late)} scenes are put off; {elapsed(found):.1f} s until then", flush=True)
                     parts = parts_of([made[k] for k in made if k in late or not patient], told.processes)
                     for report in solving.map(partial(batched, told=told, patient=patient), parts):
                         found.append(report)
