@@ -108,11 +108,10 @@ Begin = Callable[[Sequence[Row], bool], list[Future[SolvedPart]]]
 
 
 class _Chunk(NamedTuple):
-    """Rows that are solved together, patiently or not, in parts."""
+    """Rows that are solved together, in parts."""
 
     rows: Sequence[Row]
     parts: Sequence[Future[SolvedPart]]
-    patient: bool
 
 
 class _Solutions:
@@ -134,11 +133,11 @@ class _Solutions:
         that a chunk has put off are another chunk, so that which ones share a pattern does not depend on the time.
         """
         for k in range(0, len(self._rows), CHUNK):
-            while k - len(self._ended) > CHUNK or sum(not chunk.patient for chunk in self._chunks) > 1:
+            while k - len(self._ended) > CHUNK:
                 if not self._wait(begin):
                     return
             some = self._rows[k : k + CHUNK]
-            self._chunks.append(_Chunk(some, begin(some, False), False))
+            self._chunks.append(_Chunk(some, begin(some, False)))
         while self._chunks and self._wait(begin):
             pass
 
@@ -166,7 +165,7 @@ class _Solutions:
         if self._closed.is_set():  # the folder of solutions is gone
             return
         if again := [row for row in chunk.rows if row.name in late]:
-            self._chunks.append(_Chunk(again, begin(again, True), True))
+            self._chunks.append(_Chunk(again, begin(again, True)))
         for row in chunk.rows:
             if not self._places[row.name].exists() and row.name not in self._ended | late:
                 why = "solved by the CPU engine: the batch engine stopped before this scene"

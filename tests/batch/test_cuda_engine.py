@@ -207,21 +207,25 @@ def test_scenes_that_are_put_off_are_solved_together_at_last(
     from tacgen.tensor_engine import pool
 
     solve, begun, calls = pool.solved, cuda_engine._begun, list[tuple[list[str], bool]]()
+    made = planned(tmp_path, more=TWO)
+    one, two = (row.name for row in made.rows)
 
     def watched(rows: list[Row], *how: Any) -> Any:
         calls.append(([row.name for row in rows], how[-1]))
         return begun(rows, *how)
 
     def hasty(plans: list[Any], *, patient: bool, **how: Any) -> Any:
-        """The second scene of a chunk is put off."""
+        """The second scene of a chunk is put off, and solved when the worker has had time for it."""
+        end = time.monotonic() + 60
+        while patient and not (tmp_path / "out" / f"{one}.h5").exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        time.sleep(0.5 * patient)
         for k, found in solve(plans, patient=patient, **how):
             yield k, found if patient or k != 1 else replace(found, late=True)
 
     monkeypatch.setattr(cuda_engine, "_begun", watched)
     monkeypatch.setattr(pool, "solved", hasty)
-    made = planned(tmp_path, more=TWO)
     assert [each.status for each in batch.run(made, tmp_path / "out", engine="cuda")] == ["ok", "ok"]
-    one, two = (row.name for row in made.rows)
     assert calls == [([one, two], False), ([two], True)]
     for name in (one, two):
         bundle = read(tmp_path / "out" / f"{name}.h5")
