@@ -148,7 +148,7 @@ def _pivot_rows(
     own = _own(USED, SLOTS, which, first, n, GIVEN)
     start, limit = _columns(tl.program_id(1), at, n, width, later, SIZE)
     positive = 1
-    if (at < own) & ((start < own) | (start >= n)):
+    if (at < own) & ((start < own) | (start >= n) | (tl.program_id(1) == 0)):  # the first tells of the pivots
         rows = W + which * block + (at + i) * row
         there, other = (at + i < n) & (at + each < n), tl.where(i == each, 1.0, 0.0)
         X, positive = _inverted(tl.load(rows + at + each, mask=there, other=other), SIZE)

@@ -175,6 +175,9 @@ def test_rows_beyond_those_of_a_scene_are_not_read(first: int) -> None:
     given = (own + first).to(DEVICE), slots.to(DEVICE)
     assert gpu_blocks.eliminate(W, size, given, first).all()
     assert close(W[..., size:].contiguous(), wanted, 2e-5)
+    W = torch.cat([torch.eye(size).repeat(4, 1, 1), B], 2).to(DEVICE)
+    W[0, 19, 19] = W[1, 36, 36] = W[2, 99, 99] = -1.0  # the last of a scene's own
+    assert gpu_blocks.eliminate(W, size, given, first).tolist() == [False, False, False, True]
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
