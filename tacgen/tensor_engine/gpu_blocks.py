@@ -129,23 +129,23 @@ def _columns(tile, at, n, width, later, SIZE: tl.constexpr):
 
 
 @triton.jit
-def _own(USED, SLOTS, which, first, n, GIVEN: tl.constexpr):
-    """Rows of a scene's matrix, from `first` on, that are not those of the unit matrix."""
+def _own(OWN, SLOTS, which, first, n, GIVEN: tl.constexpr):
+    """How many rows of a scene's matrix, from `first` on, are not those of the unit matrix."""
     own = n
     if GIVEN:
-        own = (tl.load(USED + tl.load(SLOTS + which)) - first).to(tl.int32)
+        own = (tl.load(OWN + tl.load(SLOTS + which)) - first).to(tl.int32)
     return own
 
 
 @triton.jit(do_not_specialize=SIZES)
 def _pivot_rows(
-    W, POSITIVE, USED, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
+    W, POSITIVE, OWN, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
 ):  # fmt: skip
     """A step of Gauss-Jordan elimination by blocks: rows from `at` on times the inverse of their block on the diagonal,
     in the columns of A behind it, which are `later` tiles, and in those of B. All programs invert it: that takes less
     time than another launch."""
     which, i, each = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
-    own = _own(USED, SLOTS, which, first, n, GIVEN)
+    own = _own(OWN, SLOTS, which, first, n, GIVEN)
     start, limit = _columns(tl.program_id(1), at, n, width, later, SIZE)
     positive = 1
     if (at < own) & ((start < own) | (start >= n) | (tl.program_id(1) == 0)):  # the first tells of the pivots
@@ -161,11 +161,11 @@ def _pivot_rows(
 
 @triton.jit(do_not_specialize=SIZES)
 def _other_rows(
-    W, USED, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
+    W, OWN, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
 ):  # fmt: skip
     """Subtract these rows from all others."""
     which, top = tl.program_id(0).to(tl.int64), tl.program_id(1) * SIZE
-    own = _own(USED, SLOTS, which, first, n, GIVEN)
+    own = _own(OWN, SLOTS, which, first, n, GIVEN)
     start, limit = _columns(tl.program_id(2), at, n, width, later, SIZE)
     if (top != at) & (top < own) & (at < own) & ((start < own) | (start >= n)):
         W += which * block
@@ -197,16 +197,16 @@ def lower_inverse(A: Tensor) -> Tensor:
     return info
 
 
-def eliminate(W: Tensor, n: int, used: tuple[Tensor, Tensor] | None = None, first: int = 0) -> Tensor:
+def eliminate(W: Tensor, n: int, own: tuple[Tensor, Tensor] | None = None, first: int = 0) -> Tensor:
     """reduction.eliminate, of matrices of any size."""
     s, _, width = W.shape
-    given, own = used is not None, used or (W, W)
+    given, (counts, slots) = own is not None, own or (W, W)
     positive = torch.empty(s, dtype=torch.int32, device=W.device)
     for at in range(0, n, STEP):
         later = triton.cdiv(max(n - at - STEP, 0), STEP)
         tiles, sizes = later + triton.cdiv(width - n, STEP), (first, at, n, width, later, W.stride(0), W.stride(1))
-        _pivot_rows[(s, tiles)](W, positive, *own, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
-        _other_rows[(s, triton.cdiv(n, STEP), tiles)](W, *own, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
+        _pivot_rows[(s, tiles)](W, positive, counts, slots, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
+        _other_rows[(s, triton.cdiv(n, STEP), tiles)](W, counts, slots, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
     return positive > 0
 
 

@@ -59,7 +59,8 @@ def divided(plans: Sequence[Planned], parts: int) -> list[list[int]]:
     each = [(grids.time_of(pattern, len(group)), group) for (pattern, _), group in pools(plans).items()]
     whole, out = sum(time for time, _ in each), list[tuple[float, list[int]]]()
     for time, group in each:
-        count = min(math.ceil(parts * time / whole), math.ceil(len(group) / LEAST))  # no more than a process's share
+        # a part takes no longer than a process's share, unless it would have fewer than LEAST scenes
+        count = min(math.ceil(parts * time / whole), math.ceil(len(group) / LEAST))
         out += [(time / count, group[k::count]) for k in range(count)]
     found = [group for _, group in sorted(out, key=lambda part: -part[0])] or [[]]
     found[-1] += [k for k, plan in enumerate(plans) if plan.pattern is None]
