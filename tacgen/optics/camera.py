@@ -93,7 +93,7 @@ class PinholeCamera:
 
     def slopes(self, pixels: "Floats") -> "Floats":
         """Slopes in air, dx/dz and dy/dz (n, 2), of the rays through pixels (n, 2)."""
-        own = np.column_stack([(pixels - self._axis) / self.focal_px, np.ones(len(pixels))])
+        own = np.column_stack([(pixels - self.axis) / self.focal_px, np.ones(len(pixels))])
         ray = own @ self.turn.T
         return np.asarray(ray[:, :2] / ray[:, 2:])
 
@@ -105,7 +105,7 @@ class PinholeCamera:
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         stack = np.array(self.stack.thicknesses), np.array(self.stack.indices)
-        pixels = _project(points, *self.center, *stack, self.turn, self.focal_px, self._axis)
+        pixels = _project(points, *self.center, *stack, self.turn, self.focal_px, self.axis)
         if np.isnan(pixels).any():
             raise ValueError("a point lies at or behind the camera's pinhole")
         return np.asarray(pixels)
@@ -126,7 +126,7 @@ class PinholeCamera:
         return origins, directions
 
     @property
-    def _axis(self) -> "Floats":
+    def axis(self) -> "Floats":
         """Position of the optical axis in the image [px]."""
         return np.array([self.shape[1] / 2, self.shape[0] / 2]) - self.crop_px
 

@@ -96,13 +96,23 @@ def develop(
     """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given; `gain` (3,) is a
     factor on the light of each of the camera's colours."""
     height, width, _ = radiance.shape
-    shot, read, strength, drawn = (0.0,) * 3, (0.0,) * 3, 0.0, np.zeros((1, 1), np.uint16)
+    shot, read, strength, noise = (0.0,) * 3, (0.0,) * 3, 0.0, np.zeros((1, 1), np.uint16)
     if random is not None and camera.noise is not None:
         shot, read, strength = camera.noise.shot, camera.noise.read, camera.noise.strength
-        drawn = random.integers(0, QUANTILES, (height, 3 * width), np.uint16)
-    grain = np.tile(shot, width), np.tile(read, width), strength, drawn, quantiles()
-    mix = colours(camera) if gain is None else colours(camera) * gain[:, None]
-    return np.asarray(_counted(radiance, mix, vignette(camera), camera.exposure, *grain, *_steps(camera.response)))
+        noise = drawn(random, height, width)
+    grain = np.tile(shot, width), np.tile(read, width), strength, noise, quantiles()
+    mixed, fall = mix(camera, gain), vignette(camera)
+    return np.asarray(_counted(radiance, mixed, fall, camera.exposure, *grain, *steps(camera.response)))
+
+
+def mix(camera: "Camera", gain: "Floats | None" = None) -> "Floats":
+    """`colours` with a gain (3,) on each of the counts' colours."""
+    return colours(camera) if gain is None else colours(camera) * gain[:, None]
+
+
+def drawn(random: np.random.Generator, height: int, width: int) -> "NDArray[np.uint16]":
+    """Numbers of the quantiles (height, 3 width) that are a picture's noise."""
+    return random.integers(0, QUANTILES, (height, 3 * width), np.uint16)
 
 
 @lru_cache(maxsize=1)
@@ -116,9 +126,9 @@ def quantiles() -> "NDArray[np.float32]":
 
 
 @lru_cache(maxsize=2)
-def _steps(response: str) -> "tuple[Floats, NDArray[np.uint8]]":
-    """The counts at the lower ends of CELLS equal cells of light from 0 on, (CELLS + 1,); and the least light that is
-    rounded to the next count, infinite for the last, by bisection of the curve."""
+def steps(response: str) -> "tuple[Floats, NDArray[np.uint8]]":
+    """Of CELLS equal cells of light from 0 on: the least light that is rounded to the count after that at the lower end,
+    infinite for the last (CELLS + 1,), by bisection of the curve; and the counts at the lower ends (CELLS + 1,)."""
     count, low, most = np.arange(256), np.zeros(256), np.ones(256)
     for _ in range(80):  # halvings: a double has 53 bits, and the darkest step is above 2^-13
         middle = (low + most) / 2

@@ -90,16 +90,16 @@ class CameraView:
         """Radiance (H, W, 3) of the coating with its markers, from that without them, `bare` (samples, 3), which is
         overwritten."""
         if self.markers is not None:
-            _dim(bare, at.paint, self._change)
+            _dim(bare, at.paint, self.change)
         return self.picture(bare)
 
     def add_even(self, made: "Floats", at: Samples, light: "Floats") -> None:
         """Add to a picture `made` (H, W, 3), in place, the coating in light under which it would have the radiance
         `light` (3,) everywhere without markers."""
-        _add_even(made, light, self.picture(at.paint), self._change)
+        _add_even(made, light, self.picture(at.paint), self.change)
 
     @property
-    def _change(self) -> "Floats":
+    def change(self) -> "Floats":
         """Relative change (3,) of the coating's radiance under full paint."""
         albedo = self.markers.albedo if self.markers else 0.0
         return np.asarray(albedo / coating.white(self.sensor.coating) - 1)

@@ -38,13 +38,13 @@ class Direct:
         tolerance: adaptive_sampling.SamplingTolerance = adaptive_sampling.SamplingTolerance(),  # noqa: B008
     ) -> None:
         """Each strip in so many `pieces`; `samples` x `samples` rays a pixel."""
-        self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
+        self.sensor, self.sheet, self.tolerance = sensor, sheet, tolerance
         self.view = CameraView(sensor, sheet, markers, samples)
-        self._untouched = heights(sheet, sheet.at(untouched))
+        self.untouched = heights(sheet, sheet.at(untouched))
         leds = tuple(led.model_copy(update={"radiance": (1.0, 1.0, 1.0), "power": 1.0}) for led in sensor.leds)
         lamps = sensor.model_copy(update={"leds": leds, "markers": None})
-        self._columns = _columns(lamps, sheet, untouched, pieces)  # type: ignore[arg-type]
-        self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
+        self.columns = _columns(lamps, sheet, untouched, pieces)  # type: ignore[arg-type]
+        self.toward, self.transmission = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
         """Light at the camera per unit radiance of each LED, 0 off the pad: (samples, strips, 2) of a white Lambertian
@@ -56,13 +56,8 @@ class Direct:
 
     def seen(self, at: Samples, glow: "Glow | None" = None) -> "Floats":
         """Linear radiance (H, W, 3) of the points behind the camera's rays, with the interreflection `glow`."""
-        coat, markers = self.sensor.coating, self.view.markers
-        white, dots = coating.white(coat), markers is not None and coat.specular > 0.0
-        led = np.array([led.light for led in self.sensor.leds])
-        matt, gloss = (1 - coat.specular) * led * coat.albedo, coat.specular * coating.METAL * led
-        if dots:  # the light that arrives, too, which paint reflects
-            matt, gloss = np.hstack([matt, led]), np.hstack([gloss, 0 * led])
-        gather = self._gatherer(at, matt, gloss)
+        markers, white, dots = self.view.markers, coating.white(self.sensor.coating), self._dotted
+        gather = self._gatherer(at, *self.shares())
 
         def bare(index: "NDArray[np.int64]") -> "Floats":
             seen = gather(index)
@@ -77,18 +72,30 @@ class Direct:
             return self.view.dimmed(at, radiance)
         return self.view.picture(radiance[:, :3] + at.paint * (markers.albedo * radiance[:, 3:] - radiance[:, :3]))
 
+    def shares(self) -> "tuple[Floats, Floats]":
+        """Radiance of which each strip gives a part by a white Lambertian coat and by a rough mirror, (strips, 3) each;
+        where a glossy coat has dots (strips, 6), since paint reflects the light that arrives."""
+        coat, led = self.sensor.coating, np.array([led.light for led in self.sensor.leds])
+        matt, gloss = (1 - coat.specular) * led * coat.albedo, coat.specular * coating.METAL * led
+        return (np.hstack([matt, led]), np.hstack([gloss, 0 * led])) if self._dotted else (matt, gloss)
+
+    @property
+    def _dotted(self) -> bool:
+        """Whether a glossy coat has dots."""
+        return self.view.markers is not None and self.sensor.coating.specular > 0.0
+
     def _gatherer(self, at: Samples, matt: "Floats", gloss: "Floats") -> "Light":
         """A function of sample indices (n,): radiance toward the camera (n, c), of which each strip gives `matt` and
         `gloss` (strips, c) by a white Lambertian coat and by a rough mirror."""
         coat = self.sensor.coating
-        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size, self._untouched)
+        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size, self.untouched)
         alpha = coat.roughness if coat.specular else 0.0
 
-        seen = at.hits, at.nodes, at.normal, self._toward, self._seen
-        return lambda index: toward_camera(index, *seen, self._columns, matt, gloss, alpha, terrain)
+        seen = at.hits, at.nodes, at.normal, self.toward, self.transmission
+        return lambda index: toward_camera(index, *seen, self.columns, matt, gloss, alpha, terrain)
 
     def _everywhere(self, light: "Light", at: Samples) -> "Floats":
-        return adaptive_sampling.evaluate(light, at.normal, self.view.shape, self._tolerance)
+        return adaptive_sampling.evaluate(light, at.normal, self.view.shape, self.tolerance)
 
     def radiance(self, surface: Surface) -> "Floats":
         """Linear radiance (H, W, 3) of a deformed face."""

@@ -19,10 +19,15 @@ def blur(picture: "Floats", sd: float, truncate: float = 4.0) -> "Floats":
     As scipy.ndimage.gaussian_filter(picture, (sd, sd, 0), mode="nearest"), in a quarter of the time: values of a row
     are averaged together.
     """
-    x = np.arange(int(truncate * sd + 0.5) + 1)
-    weights = np.exp(-0.5 * (x / sd) ** 2)
     picture = np.ascontiguousarray(picture, dtype=np.float64)
-    return np.asarray(_blur(picture, weights / (2 * weights.sum() - weights[0])))
+    return np.asarray(_blur(picture, weights(sd, truncate)))
+
+
+def weights(sd: float, truncate: float = 4.0) -> "Floats":
+    """Weights (n,) of the distances 0 to n - 1 [px] in a Gaussian of standard deviation `sd` [px], as in `blur`."""
+    x = np.arange(int(truncate * sd + 0.5) + 1)
+    each = np.exp(-0.5 * (x / sd) ** 2)
+    return np.asarray(each / (2 * each.sum() - each[0]))
 
 
 @njit(cache=True)

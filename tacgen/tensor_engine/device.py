@@ -40,6 +40,14 @@ def chosen(device: str, part: float = 1.0) -> float:
     return part * float(torch.cuda.mem_get_info()[1])
 
 
+def shared(device: str) -> None:
+    """Work on this device from now on in this process, which solves nothing: while it waits it sleeps, and the work of
+    those that solve comes first."""
+    if device.startswith("cuda"):
+        _wait_asleep(torch.device(device).index)
+        torch.cuda.set_device(device)
+
+
 def _wait_asleep(number: int) -> None:
     """Have this process sleep while it waits for a GPU, which it has not used yet. PyTorch lets it ask again and again
     (its issue 28224), and so takes a core from those that label and draw."""

@@ -69,7 +69,7 @@ def test_quantiles_are_those_of_a_normal_distribution_of_variance_1() -> None:
 
 @pytest.mark.parametrize("response", ["srgb", "linear"])
 def test_no_cell_of_light_has_two_steps_between_counts(response: str) -> None:
-    steps, counts = camera_response._steps(response)
+    steps, counts = camera_response.steps(response)
     assert (np.diff(counts.astype(int)) <= 1).all()
     assert (steps[:-1] > np.arange(CELLS) / CELLS).all()
     assert counts[-1] == 255

@@ -10,11 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+import pytest
 import torch
 
 Signature = tuple[str, str, tuple[tuple[str, Any], ...], tuple[tuple[str, Any], ...], int]
 POINTERS = {torch.float32: "*fp32", torch.float64: "*fp64", torch.int64: "*i64", torch.int32: "*i32"}
-POINTERS |= {torch.bool: "*i1", torch.int8: "*i8"}
+POINTERS |= {torch.bool: "*i1", torch.int8: "*i8", torch.uint8: "*u8", torch.int16: "*i16"}
 COMPILED: set[Signature] = set()  # in this process
 COMPILER = """
 import importlib, json, sys, traceback, triton
@@ -37,6 +39,26 @@ for line in sys.stdin:
         print(json.dumps(traceback.format_exc()), flush=True)
 """
 _compiler: subprocess.Popen[str] | None = None
+
+
+@contextmanager
+def interpreted_and_compiled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Without a GPU, kernels are interpreted in here, and then compiled.
+
+    Loops go to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices.
+    """
+    from triton.runtime import interpreter
+
+    if torch.cuda.is_available():
+        yield
+        return
+
+    def number(end: object) -> int:
+        return int(np.ravel(getattr(getattr(end, "handle", end), "data", end))[0])
+
+    monkeypatch.setattr(interpreter, "range", lambda *ends: range(*map(number, ends)), raising=False)
+    with compiled():
+        yield
 
 
 @contextmanager

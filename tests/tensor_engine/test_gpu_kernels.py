@@ -16,7 +16,6 @@ triton = pytest.importorskip("triton")
 
 from torch.multiprocessing.reductions import StorageWeakRef
 from torch.utils._python_dispatch import TorchDispatchMode
-from triton.runtime import interpreter
 
 from tacgen.tensor_engine import (
     condensed,
@@ -41,7 +40,7 @@ from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine import test_elements
-from tensor_engine.compiling import compiled
+from tensor_engine.compiling import interpreted_and_compiled
 from tensor_engine.test_contact import SHAPES, Case
 from tensor_engine.test_multifrontal import matrices
 
@@ -51,17 +50,7 @@ DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
 @pytest.fixture(autouse=True)
 def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Loops to numbers that the interpreter has as arrays of one, which NumPy 2.4 no longer takes as indices; and what
-    is interpreted is compiled, too."""
-    if DEVICE == "cuda":
-        yield
-        return
-
-    def number(end: object) -> int:
-        return int(np.ravel(getattr(getattr(end, "handle", end), "data", end))[0])
-
-    monkeypatch.setattr(interpreter, "range", lambda *ends: range(*map(number, ends)), raising=False)
-    with compiled():
+    with interpreted_and_compiled(monkeypatch):
         yield
 
 

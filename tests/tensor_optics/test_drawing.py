@@ -1,0 +1,128 @@
+"""Pictures drawn on a GPU are the CPU's; without a GPU by Triton's interpreter."""
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
+pytest.importorskip("triton")
+
+from helpers.tiny import PLAIN, sensor
+from tensor_engine.compiling import interpreted_and_compiled
+
+from tacgen.optics.adaptive_sampling import SamplingTolerance
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.shadows import LARGE, SMALL, Terrain, lowest
+from tacgen.render.images import Clear, Renderer
+from tacgen.tensor_optics import gpu_faces, gpu_light
+from tacgen.tensor_optics.drawing import Drawing
+
+pytestmark = pytest.mark.slow  # the interpreter takes seconds
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+EVERYWHERE = SamplingTolerance(1, 0.0, 0.0)  # no sample is interpolated
+CAMERA = {**PLAIN["camera"], "width_px": 12, "height_px": 10, "mm_per_px": 3.3 * PLAIN["camera"]["mm_per_px"]}
+MATT = {"specular": 0.0}
+NOISE = {"shot": [1e-4] * 3, "read": [5e-3, 3e-3, 6e-3]}
+STAINED = {"grain": {"contrast": 0.05, "length_mm": 0.3}, "wear": {"loss": 0.3, "radius_mm": 1.0, "center_mm": [1, 0]}}
+SENSORS: dict[str, dict[str, Any]] = {
+    "matt": {"markers": None, "coating": MATT},
+    "matt with dots, stray light": {"coating": MATT, "camera": {**CAMERA, "ambient": [0.1, 0.2, 0.3], "noise": NOISE}},
+    "glossy with dots and grain, out of focus": {
+        "coating": STAINED,
+        "camera": {**CAMERA, "blur_mm": 0.3, "colour_matrix": [[1, -0.2, -0.3], [0, 1, 0], [0, 0, 1]]},
+    },
+}
+
+
+@pytest.fixture(autouse=True)
+def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with interpreted_and_compiled(monkeypatch), np.errstate(all="ignore"):  # beside the gel nothing is a number
+        if DEVICE == "cpu":
+            monkeypatch.setattr(gpu_light, "SAMPLES", 128)  # the interpreter takes a second for each program
+        yield
+
+
+def made(**changes: Any) -> tuple[Renderer, Drawing]:
+    """A renderer that computes every sample, and the same on a GPU."""
+    lit: Any = sensor(**{"camera": CAMERA, **changes})
+    renderer = Renderer(lit, 16, 0, lit.markers is not None)
+    assert isinstance(renderer.light, Clear)
+    renderer.light.direct.tolerance = EVERYWHERE
+    parts = renderer.light.direct, renderer.light.glow, renderer.stray, renderer.texture
+    return renderer, Drawing(*parts, DEVICE)
+
+
+@pytest.mark.parametrize("changes", SENSORS.values(), ids=SENSORS)
+def test_pictures_are_the_cpus(changes: dict[str, Any]) -> None:
+    renderer, drawing = made(**changes)
+    faces = [BallDent(2.0, 1.2, (0.4, -0.3)), renderer.untouched]
+    seen = drawing.radiance(np.stack([renderer.sheet.at(face) for face in faces]))
+    wanted = np.stack([renderer.image(face) for face in faces])
+    assert np.abs(wanted[0] - wanted[1]).max() > 0.1 * wanted.max()  # the dent is seen
+    assert np.abs(seen.cpu().numpy() - wanted).max() < 2e-5 * wanted.max()
+
+    def noise() -> list[np.random.Generator]:
+        return [np.random.default_rng(k) for k in range(2)]
+
+    gains = [None, np.array([1.2, 0.9, 1.0])]
+    pictures = drawing.developed(seen, noise(), gains)
+    each = zip(seen.cpu().numpy(), noise(), gains, strict=True)
+    assert np.array_equal(pictures, [renderer.develop(*one) for one in each])
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="the interpreter draws one after the other")
+def test_a_picture_does_not_depend_on_those_beside_it() -> None:
+    renderer, drawing = made()
+    nodes = np.stack([renderer.sheet.at(BallDent(2.0, size)) for size in (0.8, 1.2)])
+    alone = [drawing.radiance(nodes[k : k + 1]) for k in range(2)]
+    assert torch.equal(drawing.radiance(nodes), torch.cat(alone))
+
+
+def test_a_fold_hides_what_is_behind_it() -> None:
+    renderer, drawing = made()
+    nodes = renderer.sheet.at(renderer.untouched)
+    over = np.abs(nodes[:, 0]) < 1.0
+    nodes[over, 0] *= -1.5  # the middle is turned over,
+    nodes[over, 2] -= 0.5  # nearer to the camera
+    at = renderer.light.direct.view.look(_Nodes(nodes))  # type: ignore[union-attr]
+    assert at.folded
+    faces = drawing._faces.draw(torch.as_tensor(nodes[None], device=DEVICE))
+    found = (faces.keys[0] & 0xFFFFFFFF).cpu().numpy()
+    assert np.array_equal(found, at.hits.triangle)
+
+
+class _Nodes:
+    """A face whose nodes are given."""
+
+    def __init__(self, nodes: np.ndarray) -> None:
+        self._nodes = nodes
+
+    def at(self, xy: Any) -> np.ndarray:
+        return self._nodes
+
+
+@pytest.mark.parametrize("shape", [(9, 17), (12, 41), (105, 127), (2, 2)])
+def test_blocks_of_a_terrain(shape: tuple[int, int]) -> None:
+    """The least of each block, and beyond which blocks nothing casts shadows."""
+    heights = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    heights[:, : shape[1] // 3] = np.inf
+    wanted = Terrain.of(heights.astype(float), (2.0, 1.0))
+    small = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), SMALL)
+    assert np.array_equal(small[0].cpu(), lowest(heights.astype(float), SMALL))
+    large = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), LARGE)
+    assert np.array_equal(large[0].cpu(), wanted.large)
+    extent = gpu_faces.extents(small)
+    assert extent[0].tolist() == [wanted.lowest, *wanted.box]
+
+
+def test_more_rays_a_pixel_are_refused() -> None:
+    lit: Any = sensor(camera=CAMERA)
+    light = Renderer(lit, 300, 0, False).light
+    assert isinstance(light, Clear)
+    with pytest.raises(ValueError, match="one ray a pixel"):
+        Drawing(light.direct, light.glow, None, None, DEVICE)
