@@ -3,9 +3,8 @@
 import json
 import math
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +27,7 @@ from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
 from tacgen.recipe.row import Row
+from tacgen.stage_clock import Clock
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -45,27 +45,6 @@ Data = TypeVar("Data", SceneData, FrameData)
 
 class Rejected(ArithmeticError):
     """A frame that is solved, and has a label that cannot be kept; the message says which."""
-
-
-class Clock:
-    """Seconds by `now` spent in each stage without the stages within it, and apart from them on compiling."""
-
-    now = staticmethod(time.perf_counter)
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start, before, counted = self.now(), compiled.seconds(), dict(self.seconds)
-        try:
-            yield
-        finally:
-            compiling = compiled.seconds() - before - self.seconds.get("compile", 0.0) + counted.get("compile", 0.0)
-            inside = sum(self.seconds.values()) - sum(counted.values())
-            for key, seconds in ((name, self.now() - start - inside - compiling), ("compile", compiling)):
-                if seconds:
-                    self.seconds[key] = self.seconds.get(key, 0.0) + seconds
 
 
 def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Clock) -> Datasets:
