@@ -70,15 +70,15 @@ class Clear:
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         effort = TransportEffort.of(spp)
-        self._direct = Direct(sensor, sheet, markers, untouched, effort.pieces, effort.samples, effort.sparse)
+        self.direct = Direct(sensor, sheet, markers, untouched, effort.pieces, effort.samples, effort.sparse)
         radiosity = Radiosity(sensor, untouched)
         added = radiosity.added(sensor, strip_light.points(sensor.leds, *BOUNCE_POINTS))
         mixed = np.einsum("pktc,kc->ptc", added, [led.light for led in sensor.leds])
-        self.glow = radiosity.glow(mixed, self._direct.view)
+        self.glow = radiosity.glow(mixed, self.direct.view)
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
-        return self._direct.seen(at, self.glow)
+        return self.direct.seen(at, self.glow)
 
 
 class Cloudy:
@@ -170,9 +170,9 @@ class Renderer:
         effort, self.untouched = TransportEffort.of(spp), untouched or Untouched.of(sensor.gel)
         self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
         self._view = CameraView(sensor, self.sheet, markers, effort.samples)
-        self._stray = camera_response.stray(sensor.camera) if any(sensor.camera.ambient) else None
+        self.stray = camera_response.stray(sensor.camera) if any(sensor.camera.ambient) else None
         pixel = sensor.camera.mm_per_px / effort.samples
-        self._texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
+        self.texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
         self.light: Light
         if method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers):
             self.name = "transport"
@@ -193,10 +193,10 @@ class Renderer:
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
         at = self._view.look(surface)
         made = np.asarray(self.light.seen(at), dtype=np.float64)
-        if self._stray is not None:
-            self._view.add_even(made, at, self._stray)
-        if self._texture is not None:
-            factor = coat_texture.sampled(self._texture, self.sheet.size, at.rest)
+        if self.stray is not None:
+            self._view.add_even(made, at, self.stray)
+        if self.texture is not None:
+            factor = coat_texture.sampled(self.texture, self.sheet.size, at.rest)
             made = made * self._view.picture(factor[:, None])
         if self.sensor.thickness_response is not None:
             change = at.position[:, 2] - self._height(at.position[:, :2])
@@ -221,8 +221,11 @@ class Renderer:
     ) -> "NDArray[np.uint8]":
         """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given, and as JPEG
         leaves it if the camera compresses its pictures; `gain` (3,) is a factor on each colour."""
-        eye = self.sensor.camera
-        picture, quality = camera_response.develop(radiance, eye, random, gain), eye.jpeg_quality
+        return self.compressed(camera_response.develop(radiance, self.sensor.camera, random, gain))
+
+    def compressed(self, picture: "NDArray[np.uint8]") -> "NDArray[np.uint8]":
+        """An 8-bit picture (H, W, 3) as the camera sends it: as JPEG leaves it, or unchanged."""
+        quality = self.sensor.camera.jpeg_quality
         return picture if quality is None else jpeg.compressed(picture, quality)
 
 
