@@ -110,7 +110,7 @@ class Writer:
         self, status: str = "ok", reason: str = "", notes: Sequence[str] = (), renderer: str | None = None
     ) -> "Bundle":
         """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end,
-        `renderer` the attribute if it was not known before.
+        `renderer` the attribute, if it may have changed.
 
         A scene that ends early has a reason, whether it is ok or rejected.
         """
@@ -120,7 +120,7 @@ class Writer:
         late: dict[str, Any] = {"status": status, "reason": reason}
         if notes:
             late["notes"] = json.dumps([*json.loads(self._attrs.get("notes", "[]")), *notes])
-        if renderer is not None:
+        if renderer not in (None, self._attrs.get("renderer")):
             late["renderer"] = renderer
         self._attrs.update(late)
         described = {}
