@@ -21,6 +21,7 @@ from benchmarks.results_page import (
     peak_memory,
 )
 from tacgen.batch import worker_process
+from tacgen.stage_clock import Clock
 
 ABOUT = (
     "A ball of 4 mm pressed (1 mm; DIGIT 0.6), slid 1 mm and twisted 10 deg with friction 0.6, from recipe to bundle."
@@ -107,7 +108,7 @@ def made(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) ->
 
         return call
 
-    pipeline.Clock.now = staticmethod(time.process_time)
+    Clock.now = staticmethod(time.process_time)
     for name, one in OUTPUTS.items():
         OUTPUTS[name] = one._replace(frame=timed(name, one.frame), reference=timed(name, one.reference))
     with tempfile.TemporaryDirectory() as folder:

@@ -3,9 +3,8 @@
 import json
 import math
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +27,7 @@ from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
 from tacgen.recipe.row import Row
+from tacgen.stage_clock import Clock
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -45,27 +45,6 @@ Data = TypeVar("Data", SceneData, FrameData)
 
 class Rejected(ArithmeticError):
     """A frame that is solved, and has a label that cannot be kept; the message says which."""
-
-
-class Clock:
-    """Seconds by `now` spent in each stage without the stages within it, and apart from them on compiling."""
-
-    now = staticmethod(time.perf_counter)
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start, before, counted = self.now(), compiled.seconds(), dict(self.seconds)
-        try:
-            yield
-        finally:
-            compiling = compiled.seconds() - before - self.seconds.get("compile", 0.0) + counted.get("compile", 0.0)
-            inside = sum(self.seconds.values()) - sum(counted.values())
-            for key, seconds in ((name, self.now() - start - inside - compiling), ("compile", compiling)):
-                if seconds:
-                    self.seconds[key] = self.seconds.get(key, 0.0) + seconds
 
 
 def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Clock) -> Datasets:
@@ -111,7 +90,7 @@ def _attributes(
     found["contact"] = f"ipctk {version('ipctk')}" if formulation == "ipctk" else formulation
     if row.recipe.outputs & IMAGES:
         with clock.stage("render"):
-            found["renderer"] = shared.pictures.renderer.name
+            found["renderer"] = shared.pictures.name
     radius, edge = problem.contact.shape.smallest_radius, problem.edge
     coarse = resolution_note(radius, edge, built.gel.thickness, formulation)
     if row.pair is not None:
@@ -134,10 +113,11 @@ def run_scene(
     overwrite: bool = False,
     on_event: OnEvent | None = None,
     solution: SolvedScene | None = None,
+    device: str | None = None,
 ) -> SceneResult:
     """Solve, label, render and write one scene; a finished bundle of the same inputs is kept unless `overwrite`.
 
-    A `solution` with states is taken instead of solving.
+    A `solution` with states is taken instead of solving; `device`, PyTorch's, draws frames where it can.
 
     `on_event` is called after each frame: `{"event": "frame", "scene": "scene-00000", "frame": 3, "frames": 15}`.
 
@@ -145,10 +125,12 @@ def run_scene(
         UserError: the bundle's place is taken by a file made from other inputs.
         atomic_file.Busy: another process is making this very bundle.
     """
-    return resume.once(row, folder, lambda path: _make(row, path, on_event, solution), overwrite=overwrite)
+    return resume.once(row, folder, lambda path: _make(row, path, on_event, solution, device), overwrite=overwrite)
 
 
-def _make(row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene | None) -> SceneResult:
+def _make(
+    row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene | None, device: str | None
+) -> SceneResult:
     """The work itself, with one BLAS thread: more would add up in another order, and change the bytes."""
 
     def tell() -> None:
@@ -165,7 +147,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene 
             mechanics.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
             one_thread = _blas(len(sys.modules)).limit(limits=1, user_api="blas")
         with one_thread, clock.stage("bundle"):
-            status, reason, done, bundles = _made(row, path, on_event, clock, solution)
+            status, reason, done, bundles = _made(row, path, on_event, clock, solution, device)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
     atomic_file.write(path.with_suffix(".timing.json"), timing.encode(), sync=False)
@@ -180,13 +162,15 @@ def _blas(modules: int) -> "ThreadpoolController":
     return ThreadpoolController()
 
 
-def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
+def _shared(
+    row: Row, scene: Scene, problem: mechanics.Problem, known: Sequence[mechanics.State] = (), device: str | None = None
+) -> SceneData:
     """A scene as its outputs need it, with the choices of its recipe."""
 
     def pictures(untouched: "GelSurface") -> "Pictures":
         from tacgen.render.pictures import Pictures
 
-        return Pictures(row, untouched)
+        return Pictures(row, untouched, device)
 
     recipe, unsure = row.recipe, row.recipe.uncertainty
     return SceneData(
@@ -197,6 +181,7 @@ def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
         analytic=recipe.markers.method == "analytic",
         deviations=None if unsure is None else unsure.deviations,
         again=scene if unsure and unsure.mesh else None,
+        known=known,
     )
 
 
@@ -253,22 +238,24 @@ class Recorder:
         path: Path,
         clock: Clock,
         on_event: OnEvent | None,
-        solution: SolvedScene | None = None,
+        solution: SolvedScene | None,
+        device: str | None,
     ) -> None:
         (row, self.scene, problem), self.clock = solvable, clock
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
         self.before: mechanics.State | None = None
         with clock.stage("fields"):
-            self.shared = _shared(row, self.scene, problem)
+            self.shared = _shared(row, self.scene, problem, solution.states if solution else (), device)
             known = row.recipe.contact.formulation == "distance" and self.scene.element != "linear_tet"
             self.face = FaceGrid.of(self.scene.gel) if known else None
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
         images = {k: made.pop(k) for k in NAMES if k in IMAGES & made.keys()}
         with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first
             found = _datasets(made, self.shared, clock)
+        self.pictures: Pictures | None = None
         if images:
             with clock.stage("render"), compiled.once(_camera(row)):
-                _ = self.shared.pictures
+                self.pictures = self.shared.pictures
         self.reference = _finite(found | _datasets(images, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(row, self.scene, self.shared, clock, solution)
@@ -292,12 +279,12 @@ class Recorder:
 
     def finish(self, status: Literal["ok", "rejected"], reason: str) -> bundle.Bundle:
         """Close the bundle; `reason` says why it has not all frames."""
-        late = []
+        late = list(self.pictures.notes) if self.pictures else []
         if not (reason or self.touched):
             gap = approach.closest(self.scene.shape, self.scene.gel, self.scene.poses)
-            late = [f"{NO_CONTACT}, closest approach {gap:.3g} mm: check its start or poses, and their unit"]
+            late += [f"{NO_CONTACT}, closest approach {gap:.3g} mm: check its start or poses, and their unit"]
         self._tell(late)
-        return self.writer.finish(status, reason, late)
+        return self.writer.finish(status, reason, late, self.pictures.name if self.pictures else None)
 
     def labelled(self, state: mechanics.State, held: "tuple[Held, int] | None") -> Datasets:
         """The datasets of a frame. Raises Rejected: a label is not finite."""
@@ -313,7 +300,7 @@ class Recorder:
 
 
 def _made(
-    row: Row, path: Path, on_event: OnEvent | None, clock: Clock, solution: SolvedScene | None = None
+    row: Row, path: Path, on_event: OnEvent | None, clock: Clock, solution: SolvedScene | None, device: str | None
 ) -> tuple[Literal["ok", "rejected"], str, int, tuple[bundle.Bundle, ...]]:
     """Everything between a row of the plan and its bundles, the first of which is `path`: their status, why they have
     not all frames, how many frames they have, and the bundles."""
@@ -323,7 +310,7 @@ def _made(
     with ExitStack() as stack:
         places = [path.with_name(f"{each.name}.h5") for each, _, _ in gels]
         recorders = [
-            stack.enter_context(Recorder(gel, place, clock, on_event, solution))
+            stack.enter_context(Recorder(gel, place, clock, on_event, solution, device))
             for gel, place in zip(gels, places, strict=True)
         ]
         while True:

@@ -23,12 +23,14 @@ LAYERS = [
     "csv_table",
     "array_cache",
     "compiled",
+    "stage_clock",
     "fem",
     "geometry",
     "sensor",
     "optics",
     "mechanics",
     "tensor_engine",
+    "tensor_optics",
     "outputs",
     "recipe",
     "render",
@@ -236,14 +238,14 @@ def test_heavy_packages_are_imported_in_their_modules_and_inside_functions() -> 
     assert wrong == []
 
 
-def test_only_the_tensor_engine_needs_pytorch_and_others_import_it_inside_functions() -> None:
-    wrong = []
+def test_only_tensor_packages_need_pytorch_and_others_import_them_inside_functions() -> None:
+    wrong, tensors = [], ("tensor_engine", "tensor_optics")
     for name, path in files().items():
-        inside = name.split(".")[0] == "tensor_engine"
+        inside = name.split(".")[0] in tensors
         for module, top in imports(path):
-            if module.split(".")[0] == "torch" and (not inside or name == "tensor_engine.__init__"):
+            if module.split(".")[0] in ("torch", "triton") and (not inside or name.endswith("__init__")):
                 wrong.append(f"{name} imports {module}")
-            if layer(module) == "tensor_engine" and module.startswith("tacgen") and top and not inside:
+            if layer(module) in tensors and module.startswith("tacgen") and top and not inside:
                 wrong.append(f"{name} imports {module} at module level")
     assert wrong == []
 

@@ -32,6 +32,7 @@ from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.row import NOISE
 from tacgen.report import dataset_card
+from tacgen.stage_clock import Clock
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
@@ -366,8 +367,8 @@ def test_the_stages_of_a_scene_account_for_all_its_time(
 ) -> None:
     """By a clock that goes on by 1 s each time it is read."""
     read = count()
-    monkeypatch.setattr(pipeline.Clock, "now", staticmethod(lambda: float(next(read))))
-    clock = pipeline.Clock()
+    monkeypatch.setattr(Clock, "now", staticmethod(lambda: float(next(read))))
+    clock = Clock()
     with clock.stage("outer"):
         for _ in range(2):
             with clock.stage("inner"):

@@ -1,4 +1,5 @@
-"""Scenes solved many at once on a GPU, while worker processes label, draw and write those that are solved.
+"""Scenes solved many at once on a GPU, while worker processes label, draw and write those that are solved. They draw
+on the GPU, too, where it can draw what their renderer does.
 
 A solution reaches its worker through a file in the dataset's folder, as soon as it is there. Scenes that would keep
 others waiting are put off, and solved together when all of their chunk have had their turn. A scene for which the batch
@@ -30,6 +31,7 @@ from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
+from tacgen.outputs import IMAGES
 from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
@@ -226,8 +228,18 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEv
     """As pipeline.run_scene, with the solution that there is for this scene."""
     from tacgen import pipeline
 
-    solution = solution_file.read(_place(folder, row))
-    return pipeline.run_scene(row, folder, overwrite=overwrite, on_event=on_event, solution=solution)
+    solution, device = solution_file.read(_place(folder, row)), None
+    if solution is not None and solution.states and row.recipe.outputs & IMAGES:
+        device = _drawing_device()
+    return pipeline.run_scene(row, folder, overwrite=overwrite, on_event=on_event, solution=solution, device=device)
+
+
+def _drawing_device() -> str | None:
+    """The GPU on which this process draws, if there is one; the processes are spread over them."""
+    from tacgen.tensor_engine import device  # PyTorch, which takes seconds and memory: only for pictures
+
+    found = device.usable()
+    return found[os.getpid() % len(found)] if found else None
 
 
 def scene_of(row: Row) -> Scene | str:

@@ -106,8 +106,11 @@ class Writer:
                 self._write(path, value, self.frames)
         self.appended += 1
 
-    def finish(self, status: str = "ok", reason: str = "", notes: Sequence[str] = ()) -> "Bundle":
-        """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end.
+    def finish(
+        self, status: str = "ok", reason: str = "", notes: Sequence[str] = (), renderer: str | None = None
+    ) -> "Bundle":
+        """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end,
+        `renderer` the attribute, if it may have changed.
 
         A scene that ends early has a reason, whether it is ok or rejected.
         """
@@ -117,6 +120,8 @@ class Writer:
         late: dict[str, Any] = {"status": status, "reason": reason}
         if notes:
             late["notes"] = json.dumps([*json.loads(self._attrs.get("notes", "[]")), *notes])
+        if renderer not in (None, self._attrs.get("renderer")):
+            late["renderer"] = renderer
         self._attrs.update(late)
         described = {}
         with self._sink.guard():

@@ -8,7 +8,7 @@ OUTPUT = Output(
         "/frames/rgb": Entry("|u1", "N H W 3", "1", "camera image, sRGB", axes="frame row column rgb"),
         "/reference/rgb": Entry("|u1", "H W 3", "1", "camera image of the untouched sensor", axes="row column rgb"),
     },
-    lambda frame: {"/frames/rgb": frame.scene.pictures.developed(frame.radiance, frame.state.index)},
+    lambda frame: {"/frames/rgb": frame.shot.rgb},
     lambda scene: {"/reference/rgb": scene.pictures.developed(scene.pictures.flat)},
     needs="light",
 )

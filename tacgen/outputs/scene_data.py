@@ -5,8 +5,8 @@ the markers.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tacgen.outputs.cauchy_stress import Stress, Stresses
     from tacgen.outputs.contact_maps import Maps, Shares
     from tacgen.outputs.sensitivities import Sensitivities
-    from tacgen.render.pictures import Pictures
+    from tacgen.render.pictures import Pictures, Shot
 
 Array = np.ndarray
 SHEET_MARGIN = 1.0  # [mm] by which a sheet is larger than its first face asks
@@ -69,6 +69,7 @@ class SceneData(_Faces):
         analytic: bool = False,
         deviations: Mapping[str, float] | None = None,
         again: "Scene | None" = None,
+        known: Sequence[State] = (),
     ) -> None:
         """Nothing is computed yet.
 
@@ -76,9 +77,11 @@ class SceneData(_Faces):
             pictures: makes the camera from the face that it sees at rest. asked: names of outputs.
             analytic: whether markers move by formulas. deviations: standard deviations of the uncertain inputs.
             again: the scene, if it is to be solved on a coarser mesh too, for the error of the mesh.
+            known: all states, if they are there before the first frame.
         """
         self.sensor, self.problem, self.asked = sensor, problem, asked
         self._pictures, self._analytic, self._deviations, self._again = pictures, analytic, deviations or {}, again
+        self._known, self._ahead = known, dict[int, tuple[gel_surface.GelSurface, gel_surface.GelSurface]]()
         self._sheet: Sheet | None = None
         mesh, gel = problem.mesh, sensor.gel
         self.touched = gel_surface.GelSurface(mesh.points, mesh.facets["coated"])
@@ -168,6 +171,19 @@ class SceneData(_Faces):
         """The rendered camera."""
         return self._pictures(self.printed)
 
+    def faces(self, state: State) -> tuple[gel_surface.GelSurface, gel_surface.GelSurface]:
+        """The touched and the printed face in a solved state."""
+        if state.index in self._ahead:
+            return self._ahead.pop(state.index)
+        touched = self.touched.pressed(self.problem, state)
+        return touched, touched if self.printed is self.touched else self.printed.moved(state.x)
+
+    def later(self, frame: int, most: int) -> dict[int, gel_surface.GelSurface]:
+        """Printed faces of so many known states after a frame, at most, by their frames, which are given them later."""
+        coming = [state for state in self._known if state.index > frame][:most]
+        self._ahead = {state.index: self.faces(state) for state in coming}
+        return {index: printed for index, (_, printed) in self._ahead.items()}
+
 
 class FrameData(_Faces):
     """One solved state as outputs need it, and the one before."""
@@ -177,8 +193,7 @@ class FrameData(_Faces):
     ) -> None:
         """`held` is the grasp and the side of this finger, 0 left and 1 right, if there is one."""
         self.scene, self.state, self.before, self.held = scene, state, before, held
-        self.touched = scene.touched.pressed(scene.problem, state)
-        self.printed = self.touched if scene.printed is scene.touched else scene.printed.moved(state.x)
+        self.touched, self.printed = scene.faces(state)
 
     def drawn(self, surface: gel_surface.GelSurface) -> "View":
         """A face behind each pixel."""
@@ -204,6 +219,6 @@ class FrameData(_Faces):
         return self.scene.stresses.at(self.state.x, self.scene.problem.stressed(self.state.internal))
 
     @cached_property
-    def radiance(self) -> Array:
-        """Linear light (H, W, 3)."""
-        return self.scene.pictures.radiance(self.printed)
+    def shot(self) -> "Shot":
+        """The pictures."""
+        return self.scene.pictures.shot(self.state.index, self.printed, partial(self.scene.later, self.state.index))

@@ -221,8 +221,11 @@ class Renderer:
     ) -> "NDArray[np.uint8]":
         """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given, and as JPEG
         leaves it if the camera compresses its pictures; `gain` (3,) is a factor on each colour."""
-        eye = self.sensor.camera
-        picture, quality = camera_response.develop(radiance, eye, random, gain), eye.jpeg_quality
+        return self.compressed(camera_response.develop(radiance, self.sensor.camera, random, gain))
+
+    def compressed(self, picture: "NDArray[np.uint8]") -> "NDArray[np.uint8]":
+        """An 8-bit picture (H, W, 3) as the camera sends it: as JPEG leaves it, or unchanged."""
+        quality = self.sensor.camera.jpeg_quality
         return picture if quality is None else jpeg.compressed(picture, quality)
 
 

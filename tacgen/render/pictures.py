@@ -1,6 +1,10 @@
-"""Deformed faces of one scene -> its camera pictures: rendered, over a photograph where there is one, and developed."""
+"""Deformed faces of one scene -> its camera pictures: rendered, over a photograph where there is one, and developed.
 
-from functools import lru_cache
+A frame's pictures are a shot. With a GPU the first one that is asked for is drawn together with those after it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import cast
 
@@ -8,14 +12,20 @@ import numpy as np
 
 from tacgen.optics import camera_response
 from tacgen.optics.surface_grid import Surface
+from tacgen.outputs import IMAGES
 from tacgen.recipe import background_photo
 from tacgen.recipe.row import DRIFT, NOISE, Row
+from tacgen.render import tensor_drawing
 from tacgen.render.images import Method, Renderer
 from tacgen.sensor.imperfections import Drift
 from tacgen.sensor.model import Camera, LitSensor
 
 Array = np.ndarray
+TOGETHER = 64  # frames at most that are drawn at once: their radiance takes 60 MB at 320 x 240 px
 WAVES = 64  # of which a drift is the sum: its distribution is normal to within a few per cent
+
+
+_Drawn = tuple[Array | None, Array | None]  # a frame's radiance and 8-bit picture, each where it is needed
 
 
 class Backdrop:
@@ -52,8 +62,9 @@ def _rendering(
 class Pictures:
     """One scene's camera, with its recipe's renderer, photograph and noise."""
 
-    def __init__(self, row: Row, untouched: Surface) -> None:
-        """`untouched` is the face at rest that the camera sees."""
+    def __init__(self, row: Row, untouched: Surface, device: str | None = None) -> None:
+        """`untouched` is the face at rest that the camera sees; `device`, PyTorch's, draws shots if it can draw what
+        the renderer does. What it cannot for lack of memory the CPU draws, and `notes` say so."""
         lit, render = cast(LitSensor, row.sensor), row.recipe.render  # recipe/optics_checks lets no other through
         solid = untouched if lit.gel.solid is not None else None
         spp, markers = row.recipe.resolved().spp, lit.markers is not None
@@ -61,14 +72,21 @@ class Pictures:
         made = _rendering.__wrapped__ if own else _rendering
         seed = row.seed if own else 0
         self.renderer, flat = made(lit, spp, seed, markers, render.method, solid)  # type: ignore[arg-type]
+        self._device, self._drawn, self.notes = device, dict[int, _Drawn](), list[str]()
+        self._by = ""  # name of the device, once it has drawn
         self._row, self._photo = row, None
         if row.photo_path is not None:
             self._photo = Backdrop(row.photo_path, flat, lit.camera)
-        self.flat = self._over_photo(flat)
+        self.flat = self.over_photo(flat)
+
+    @property
+    def name(self) -> str:
+        """The renderer's, and that of the device if it has drawn shots."""
+        return f"{self.renderer.name} on {self._by}" if self._by else self.renderer.name
 
     def radiance(self, face: Surface) -> Array:
         """Linear light (H, W, 3) from a deformed face, float32."""
-        return self._over_photo(self.renderer.image(face))
+        return self.over_photo(self.renderer.image(face))
 
     def developed(self, radiance: Array, frame: int | None = None) -> Array:
         """The 8-bit picture (H, W, 3) of a radiance; in a frame with the camera's drift, and with its noise, if the
@@ -76,17 +94,72 @@ class Pictures:
 
         Both depend on the scene's seed and the frame's number alone, whatever process renders it.
         """
-        if frame is None:
-            return self.renderer.develop(radiance)
-        drift = self.renderer.sensor.camera.drift
-        gain = None if drift is None else drifted(drift, self._row.seed, frame)
-        if not self._row.recipe.render.noise:
-            return self.renderer.develop(radiance, gain=gain)
-        seed = np.random.SeedSequence((self._row.seed, frame, NOISE))
-        return self.renderer.develop(radiance, np.random.default_rng(seed), gain)
+        return self.renderer.develop(radiance, *((None, None) if frame is None else self._disturbed(frame)))
 
-    def _over_photo(self, radiance: Array) -> Array:
+    def over_photo(self, radiance: Array) -> Array:
+        """Rendered radiance (H, W, 3) over the recipe's photograph, if it has one."""
         return radiance if self._photo is None else self._photo.under(radiance)
+
+    def shot(self, frame: int, face: Surface, later: Callable[[int], Mapping[int, Surface]]) -> "Shot":
+        """The pictures of a frame with this face; `later`: so many of the faces after it, at most, by their frames."""
+        if self._device is not None and frame not in self._drawn and tensor_drawing.drawable(self.renderer):
+            self._drawn = {}  # before there are others
+            self._drawn = self._together({frame: face, **later(TOGETHER - 1)}, self._device)
+        return Shot(self, frame, face, *self._drawn.get(frame, (None, None)))
+
+    def _disturbed(self, frame: int) -> tuple[np.random.Generator | None, Array | None]:
+        """The source of a frame's noise, if the recipe has noise, and the gain (3,) of its drift, if there is one."""
+        drift, seed = self.renderer.sensor.camera.drift, self._row.seed
+        gain = None if drift is None else drifted(drift, seed, frame)
+        if not self._row.recipe.render.noise:
+            return None, gain
+        return np.random.default_rng(np.random.SeedSequence((seed, frame, NOISE))), gain
+
+    def _together(self, faces: Mapping[int, Surface], device: str) -> dict[int, "_Drawn"]:
+        """Draw frames by their faces, all at once; nothing, from now on, where the device fails."""
+        nodes = np.stack([self.renderer.sheet.at(face) for face in faces.values()])
+        asked = self._row.recipe.outputs
+        radiance: Sequence[Array | None] = [None] * len(faces)
+        developed = radiance
+        try:
+            name = tensor_drawing.taken(device)
+            drawing = tensor_drawing.drawing(self.renderer, device)
+            light = drawing.radiance(nodes)
+            if self._photo is not None or asked & IMAGES - {"rgb"}:
+                radiance = list(light.cpu().numpy())
+            if self._photo is None and "rgb" in asked:
+                random, gains = zip(*map(self._disturbed, faces), strict=True)
+                developed = list(drawing.developed(light, random, gains))
+        except RuntimeError as error:  # PyTorch's, as when the GPU's memory is full
+            self._device, (why, *_) = None, [*str(error).splitlines(), type(error).__name__]
+            first = next(iter(faces))
+            self.notes.append(f"pictures{f' from frame {first + 1} on' * (first > 0)} drawn by the CPU: {why}")
+            return {}
+        self._by = name
+        return dict(zip(faces, zip(radiance, developed, strict=True), strict=True))
+
+
+class Shot:
+    """A frame's pictures, each made when it is first asked for."""
+
+    def __init__(
+        self, pictures: Pictures, frame: int, face: Surface, light: Array | None, developed: Array | None
+    ) -> None:
+        """`light` (H, W, 3), without a photograph, and `developed` (H, W, 3), before JPEG, where they are drawn."""
+        self._pictures, self._frame, self._face = pictures, frame, face
+        self._light, self._developed = light, developed
+
+    @cached_property
+    def radiance(self) -> Array:
+        """Linear light (H, W, 3), float32."""
+        return self._pictures.radiance(self._face) if self._light is None else self._pictures.over_photo(self._light)
+
+    @cached_property
+    def rgb(self) -> Array:
+        """The 8-bit picture (H, W, 3)."""
+        if self._developed is None:
+            return self._pictures.developed(self.radiance, self._frame)
+        return self._pictures.renderer.compressed(self._developed)
 
 
 def drifted(drift: Drift, seed: int, frame: int) -> Array:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from threading import Event
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -307,6 +308,50 @@ assert "torch" not in sys.modules
 """
     done = subprocess.run([sys.executable, "-c", code, tmp_path / "few.yaml"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_known_frames_without_pictures_are_labelled_without_pytorch(tmp_path: Path) -> None:
+    """And so are scenes with pictures that the batch engine has not solved."""
+    planned(tmp_path)
+    code = """
+import sys
+from pathlib import Path
+from tacgen import mechanics
+from tacgen.batch import cuda_engine, solution_file
+from tacgen.mechanics import mesh
+from tacgen.mechanics.solved_scene import SolvedScene
+from tacgen.recipe import plan, scene_of_row
+folder = Path(sys.argv[1])
+(row,) = plan.load(folder / "few.yaml", ["outputs=[force, height]"]).rows
+(drawn,) = plan.load(folder / "few.yaml", ["outputs=[rgb]", "quality.spp=4"]).rows
+scene = scene_of_row.build(row)
+states = list(mechanics.states(scene, mechanics.Problem.of(scene, mesh.of(scene))))
+for one, solution in ((row, SolvedScene("an engine", states)), (drawn, SolvedScene("", why="of no matter"))):
+    place = cuda_engine._place(folder / one.key, one)
+    place.parent.mkdir(parents=True)
+    solution_file.write(place, solution)
+    assert cuda_engine.run_scene(one, folder / one.key).status == "ok"
+assert "torch" not in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("gpus", "chosen"), [(0, None), (1, "cuda:0"), (2, "cuda:1")])
+def test_processes_draw_on_the_gpus_in_turn(
+    gpus: int, chosen: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned(tmp_path)
+    (row,) = plan.load(tmp_path / "few.yaml", ["outputs=[rgb]"]).rows
+    known, seen = SolvedScene("an engine", [Any]), list[str | None]()  # type: ignore[list-item]
+    fake = SimpleNamespace(usable=lambda: [f"cuda:{k}" for k in range(gpus)])
+    monkeypatch.setitem(sys.modules, "tacgen.tensor_engine.device", fake)
+    monkeypatch.setattr("tacgen.tensor_engine.device", fake, raising=False)
+    monkeypatch.setattr(cuda_engine.os, "getpid", lambda: 7)
+    monkeypatch.setattr(solution_file, "read", lambda path: known)
+    monkeypatch.setattr(pipeline, "run_scene", lambda *_, device, **how: seen.append(device))
+    cuda_engine.run_scene(row, tmp_path)
+    assert seen == [chosen]
 
 
 def test_derivatives_are_left_to_the_cpu_engine(tmp_path: Path) -> None:

@@ -1,0 +1,34 @@
+"""Which renderers can draw on a GPU, and what draws for them there. PyTorch is imported only when it is asked to."""
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from tacgen.render.images import Clear, Renderer
+
+if TYPE_CHECKING:
+    from tacgen.tensor_optics.drawing import Drawing
+
+
+def drawable(renderer: Renderer) -> bool:
+    """Whether a GPU can draw what a renderer does: clear gels, with one ray a pixel and nothing fitted beyond them."""
+    light, fitted = renderer.light, renderer.sensor.thickness_response
+    return isinstance(light, Clear) and light.direct.view.samples == 1 and fitted is None
+
+
+@lru_cache(maxsize=2)  # as many as pictures keep renderers
+def drawing(renderer: Renderer, device: str) -> "Drawing":
+    """The drawing of a renderer that is drawable, on a device that has been `taken`. Raises PyTorch's RuntimeError."""
+    from tacgen.tensor_optics.drawing import Drawing
+
+    assert isinstance(renderer.light, Clear)
+    return Drawing(renderer.light.direct, renderer.light.glow, renderer.stray, renderer.texture, device)
+
+
+@lru_cache
+def taken(device: str) -> str:
+    """Prepare this process for a device that it shares with others, before its first use; its name, and the version of
+    PyTorch. Raises PyTorch's RuntimeError."""
+    from tacgen.tensor_engine.device import named, shared
+
+    shared(device)
+    return named(device)
