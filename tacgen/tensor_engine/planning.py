@@ -1,5 +1,6 @@
 """Scenes before they are solved, and their division among processes. Without PyTorch, which takes seconds to import."""
 
+import heapq
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -53,15 +54,37 @@ def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPatter
     return out
 
 
-def divided(plans: Sequence[Planned], parts: int) -> list[list[int]]:
+def divided(plans: Sequence[Planned], processes: int) -> list[list[int]]:
     """Places in the list of scenes in parts for so many processes that share a GPU, those that take longest first:
-    scenes of a pool together, in several parts if they are many. Those without a pattern go with the last."""
-    each = [(grids.time_of(pattern, len(group)), group) for (pattern, _), group in pools(plans).items()]
-    whole, out = sum(time for time, _ in each), list[tuple[float, list[int]]]()
-    for time, group in each:
-        # a part takes no longer than a process's share, unless it would have fewer than LEAST scenes
-        count = min(math.ceil(parts * time / whole), math.ceil(len(group) / LEAST))
-        out += [(time / count, group[k::count]) for k in range(count)]
+    scenes of a pool together, in several parts if they are many. Those without a pattern go with the last.
+
+    Of all bounds on the time of a part, that is taken with which the last process ends soonest, each taking the
+    longest part that is left as soon as it can (Graham 1969).
+    """
+    groups = [(pattern, group) for (pattern, _), group in pools(plans).items()]
+    each = [_parts(pattern, group, processes) for pattern, group in groups]
+    bounds = sorted({time for parts in each for time, _ in parts}, reverse=True)
+    chosen = [[next((part for part in parts if part[0] <= bound), parts[-1]) for parts in each] for bound in bounds]
+    best = min(chosen, key=lambda parts: _ends(parts, processes), default=[])
+    out = [
+        (time, group[k::count]) for (time, count), (_, group) in zip(best, groups, strict=True) for k in range(count)
+    ]
     found = [group for _, group in sorted(out, key=lambda part: -part[0])] or [[]]
     found[-1] += [k for k, plan in enumerate(plans) if plan.pattern is None]
     return [part for part in found if part]
+
+
+def _parts(pattern: GridPattern, group: Sequence[int], processes: int) -> list[tuple[float, int]]:
+    """The time of a part and how many there are, for a pool in one and more parts, as many as there are processes or
+    fewer, and of no fewer than LEAST scenes."""
+    most = min(processes, math.ceil(len(group) / LEAST))
+    return [(grids.time_of(pattern, len(group) / count), count) for count in range(1, most + 1)]
+
+
+def _ends(parts: Sequence[tuple[float, int]], processes: int) -> float:
+    """When the last process ends so many parts of some times, if each takes the longest that is left when it can."""
+    free = [0.0] * processes
+    for time, count in sorted(parts, reverse=True):
+        for _ in range(count):
+            heapq.heapreplace(free, free[0] + time)
+    return max(free)

@@ -171,12 +171,21 @@ def test_parts_for_processes_have_scenes_of_one_pool(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(planning, "LEAST", 1)
     assert parts(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]
     monkeypatch.setattr(grids, "LARGE", 100)  # where a scene takes as the square of its cells
-    assert parts(patterns, 4) == [[2], [4], [7], [0, 5], [3, 6, 1]]  # none takes more than a quarter
+    assert parts(patterns, 4) == [[2], [4], [7], [0], [3], [5], [6, 1]]  # a process has two small ones, not four
     monkeypatch.setattr(planning, "LEAST", 2)
-    assert parts(patterns, 4) == [[2, 7], [4], [0, 5], [3, 6, 1]]
+    assert parts(patterns, 4) == [[2, 7], [4], [0, 3, 5, 6, 1]]
     assert parts([small], 4) == [[0]]
     assert parts([None, None], 4) == [[0, 1]]
     assert parts([], 4) == []
+
+
+def test_no_process_begins_a_second_part_when_others_have_ended() -> None:
+    """A thousand balls on the Mini: parts no longer than an eighth of the time would be ten."""
+    sizes = {GridPattern((22, 18, 5)): 396, GridPattern((22, 22, 5)): 221, GridPattern((18, 18, 5)): 383}
+    patterns = [pattern for pattern, count in sizes.items() for _ in range(count)]
+    parts = divided([Planned(k, pattern=pattern) for k, pattern in enumerate(patterns)], 8)
+    assert sorted(map(len, parts)) == [73, 74, 74, 132, 132, 132, 191, 192]
+    assert sorted(k for part in parts for k in part) == [*range(1000)]
 
 
 def test_scenes_with_other_contact_points_share_pools_of_their_own() -> None:
