@@ -93,7 +93,7 @@ HOMES = {
     "pytetwild": {"mechanics.ftetwild"},
     "ipctk": {"mechanics.ipctk"},
     "platformdirs": {"array_cache"},
-    "threadpoolctl": {"pipeline", "mechanics.blas_kernels"},
+    "threadpoolctl": {"pipeline", "render.pictures", "mechanics.blas_kernels"},
     "rich": {"report.progress"},
     "PIL": {"recipe.background_photo", "bundle.image_file", "render.jpeg"},
     "distributed": {"batch.dask_engine"},

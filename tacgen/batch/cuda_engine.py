@@ -10,20 +10,19 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from itertools import cycle
-from multiprocessing import get_context
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tacgen import __version__
-from tacgen.batch import solution_file
+from tacgen.batch import process_pool, solution_file
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle import resume
@@ -45,7 +44,7 @@ PLANNERS, AT_ONCE = 8, 16  # processes at most that plan scenes, and scenes that
 LOOK_S = 0.1  # between looks for new solutions
 FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
-SOLVED = f"{__name__}:run_scene"
+SOLVED, PREPARE = f"{__name__}:run_scene", f"{__name__}:prepare"
 
 
 class SolvedPart(NamedTuple):
@@ -67,15 +66,17 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
     with ExitStack() as stack:
         mapped: Mapped = map
         if workers > 1:  # scenes are planned in processes too, which start while PyTorch is imported here
-            planning = _started(stack, min(workers, PLANNERS), import_module, "tacgen.tensor_engine.planning")
+            planners, module = min(workers, PLANNERS), "tacgen.tensor_engine.planning"
+            planning = process_pool.started(stack, planners, import_module, module)
             mapped = partial(planning.map, chunksize=AT_ONCE)
+            process_pool.import_once("tacgen.tensor_engine.pool")
         devices = usable_devices()
         count = solvers(workers, len(devices))
         solving: Executor = stack.enter_context(ThreadPoolExecutor(1))
-        if count > 1:  # these import PyTorch while scenes are planned
-            solving = _started(stack, count, import_module, "tacgen.tensor_engine.pool")
+        if count > 1:
+            solving = process_pool.started(stack, count, import_module, "tacgen.tensor_engine.pool", by="forkserver")
         ahead = stack.enter_context(ThreadPoolExecutor(1))
-        pool = stack.enter_context(Pool(workers, limits, SOLVED if task == TASK else task))
+        pool = stack.enter_context(Pool(workers, limits, SOLVED if task == TASK else task, first=PREPARE))
 
         def run(
             rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
@@ -96,14 +97,6 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
                 solutions.close()
 
         yield run
-
-
-def _started(stack: ExitStack, count: int, first: Callable[..., object], *args: object) -> ProcessPoolExecutor:
-    """So many processes, which are started now and call a function first."""
-    pool = stack.enter_context(ProcessPoolExecutor(count, mp_context=get_context("spawn")))
-    for _ in range(count):
-        pool.submit(first, *args)
-    return pool
 
 
 Begin = Callable[[Sequence[Row], bool], list[Future[SolvedPart]]]
@@ -229,14 +222,28 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEv
     from tacgen import pipeline
 
     solution, device = solution_file.read(_place(folder, row)), None
-    if solution is not None and solution.states and row.recipe.outputs & IMAGES:
-        device = _drawing_device()
+    if solution is not None and solution.states:
+        device = _drawing_device(row)
     return pipeline.run_scene(row, folder, overwrite=overwrite, on_event=on_event, solution=solution, device=device)
 
 
-def _drawing_device() -> str | None:
-    """The GPU on which this process draws, if there is one; the processes are spread over them."""
-    from tacgen.tensor_engine import device  # PyTorch, which takes seconds and memory: only for pictures
+def prepare(row: Row) -> None:
+    """Make ready in this process for pictures like a row's, which takes seconds, while other processes solve it."""
+    from tacgen import pipeline  # noqa: F401  # with all that a scene needs
+    from tacgen.render import pictures
+
+    if (device := _drawing_device(row)) is not None:
+        pictures.prepare(row, device)
+
+
+def _drawing_device(row: Row) -> str | None:
+    """The GPU on which this process draws a scene's pictures, if it has some and a GPU can; the processes are spread
+    over all GPUs."""
+    from tacgen.render.images import clear
+
+    if not (row.recipe.outputs & IMAGES and clear(row.sensor, row.recipe.render.method)):
+        return None
+    from tacgen.tensor_engine import device  # PyTorch, which takes seconds and memory
 
     found = device.usable()
     return found[os.getpid() % len(found)] if found else None

@@ -29,9 +29,15 @@ class Pool:
     """Worker processes that are kept between calls of `run`, until the block ends."""
 
     def __init__(
-        self, workers: int = 1, limits: Limits | None = None, task: str = TASK, memory_gb: float | None = None
+        self,
+        workers: int = 1,
+        limits: Limits | None = None,
+        task: str = TASK,
+        memory_gb: float | None = None,
+        first: str = "",
     ) -> None:
-        self.size, self.limits, self.task = workers, limits or Limits(), task
+        """`first`: a function that workers call with the first row before their first scene, to make ready."""
+        self.size, self.limits, self.task, self.first = workers, limits or Limits(), task, first
         self.memory_gb = self.limits.memory_gb or memory_gb or 0.9 * machine_memory() / workers
         self.workers: list[Worker] = []
         self.compiler: Worker | None = None
@@ -70,8 +76,9 @@ class Pool:
             UserError: workers do not start.
         """
         batch = _Batch(rows, folder, on_event, ready, in_order=self.size == 1)
+        first = (self.first, rows[0]) if self.first and len(rows) else None
         while len(batch.results) < len(rows) and not enough():
-            self._assign_jobs(batch, overwrite)
+            self._assign_jobs(batch, overwrite, first)
             for worker, kind, what in self._messages():
                 if kind == "event":
                     if what["event"] == "compiling" and worker.job is not None and self.compiler is None:
@@ -86,11 +93,12 @@ class Pool:
                         batch.settle(job, kind, what)
         return [result for _, result in sorted(batch.results.items())]
 
-    def _assign_jobs(self, batch: "_Batch", overwrite: bool) -> None:
-        """Start as many workers as there are jobs, up to the limit, and give each idle worker a job."""
+    def _assign_jobs(self, batch: "_Batch", overwrite: bool, first: tuple[str, Row] | None) -> None:
+        """Start as many workers as there are jobs, up to the limit, and give each idle worker a job; `first`: a
+        function, and a row for which workers call it before."""
         busy = sum(worker.job is not None for worker in self.workers)
         while len(self.workers) < min(self.size, busy + len(batch.waiting)):
-            self.workers.append(Worker(self.task))
+            self.workers.append(Worker(self.task, first))
         for worker in self.workers:
             if worker.ready and worker.job is None:
                 if (job := batch.next()) is None:

@@ -24,6 +24,7 @@ from tacgen.errors import UserError
 KEPT, LARGE = 2**26, 2**25
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of mallopt(3)
 RETURN_S = 2.0  # least time between two returns of freed memory [s]: each costs 12 ms, most of it to get it again
+PATIENT = 10  # added to the niceness of a thread that makes ready
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # errors that all scenes would have
 
 
@@ -39,20 +40,38 @@ def main(link: Connection, parent: int) -> None:
     _keep_freed_memory()
     setup = link.recv()
     sys.path[:] = setup["path"]
-    module, _, name = setup["task"].partition(":")
-    task = getattr(importlib.import_module(module), name)
+    task, first = _named(setup["task"]), threading.Thread(target=_before, args=(link.recv(),), daemon=True)
+    first.start()
     link.send(("ready", None))
-    _work(link, task)
+    _work(link, task, first)
 
 
-def _work(link: Connection, task: Any) -> None:
-    """Answer jobs until the pipe is closed."""
+def _named(function: str) -> Any:
+    """A function by its `module:name`."""
+    module, _, name = function.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _before(call: Any) -> None:
+    """Call a function with a row, if there is one, in the time that other processes leave."""
+    if call is None:
+        return
+    function, row = call
+    if sys.platform == "linux":  # elsewhere it is the whole process that would wait
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), PATIENT)
+    with suppress(Exception):  # a scene that meets it again tells
+        _named(function)(row)
+
+
+def _work(link: Connection, task: Any, first: threading.Thread) -> None:
+    """Answer jobs until the pipe is closed, the first of them once a thread has ended."""
     returned = time.monotonic()
     while True:
         try:
             row, folder, overwrite = link.recv()
         except EOFError:
             return
+        first.join()
         link.send(_outcome(task, row, folder, overwrite, link))
         if time.monotonic() - returned >= RETURN_S:
             _return_memory()

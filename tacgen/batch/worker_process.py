@@ -48,7 +48,8 @@ class Job:
 class Worker:
     """A process, its current job, and the time of its last message."""
 
-    def __init__(self, task: str) -> None:
+    def __init__(self, task: str, first: tuple[str, Row] | None = None) -> None:
+        """`first`: a function, by its `module:name`, that it calls with a row before its first job."""
         self.link, theirs = connection.Pipe()
         paths = [PACKAGE_PARENT, *filter(None, [os.environ.get("PYTHONPATH")])]
         with _without_interrupts():
@@ -65,6 +66,7 @@ class Worker:
         self.last_message = time.monotonic()
         self.scenes_made = 0
         self._send({"path": sys.path, "task": task})
+        self._send(first)
 
     def give(self, job: Job, folder: Path, overwrite: bool) -> None:
         """Send it a job."""

@@ -33,7 +33,7 @@ from tacgen.render.mitsuba_path import SPACING, PathTracer
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor.model import LitSensor
+    from tacgen.sensor.model import LitSensor, Sensor
 
     Floats = NDArray[np.float64]
 
@@ -174,7 +174,7 @@ class Renderer:
         pixel = sensor.camera.mm_per_px / effort.samples
         self.texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
         self.light: Light
-        if method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers):
+        if clear(sensor, method):
             self.name = "transport"
             self.light = Clear(sensor, self.sheet, markers, spp, self.untouched)
             return
@@ -227,6 +227,11 @@ class Renderer:
         """An 8-bit picture (H, W, 3) as the camera sends it: as JPEG leaves it, or unchanged."""
         quality = self.sensor.camera.jpeg_quality
         return picture if quality is None else jpeg.compressed(picture, quality)
+
+
+def clear(sensor: "Sensor", method: str) -> bool:
+    """Whether light is computed by `Clear`."""
+    return method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers)
 
 
 class TransportEffort(NamedTuple):

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from tacgen.optics import camera_response
-from tacgen.optics.surface_grid import Surface
+from tacgen.optics.surface_grid import Surface, Untouched
 from tacgen.outputs import IMAGES
 from tacgen.recipe import background_photo
 from tacgen.recipe.row import DRIFT, NOISE, Row
@@ -137,6 +137,17 @@ class Pictures:
             return {}
         self._by = name
         return dict(zip(faces, zip(radiance, developed, strict=True), strict=True))
+
+
+def prepare(row: Row, device: str) -> None:
+    """Make ready in this process for pictures on a device of scenes like a row's, by drawing the untouched face."""
+    from threadpoolctl import threadpool_limits
+
+    if row.sensor.gel.solid is not None:  # its face at rest is that of its mesh
+        return
+    with threadpool_limits(1, user_api="blas"):  # as scenes do: the renderer is theirs
+        face = Untouched.of(row.sensor.gel)
+        Pictures(row, face, device).shot(0, face, lambda most: {})
 
 
 class Shot:

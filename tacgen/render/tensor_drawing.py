@@ -17,16 +17,15 @@ def drawable(renderer: Renderer) -> bool:
 
 @lru_cache(maxsize=2)  # as many as pictures keep renderers
 def drawing(renderer: Renderer, device: str) -> "Drawing":
-    """The drawing of a renderer that is drawable, on a device that has been `taken`. Raises PyTorch's RuntimeError."""
+    """The drawing of a renderer that is drawable, on a device that is `taken`. Raises PyTorch's RuntimeError."""
     from tacgen.tensor_optics.drawing import Drawing
 
     assert isinstance(renderer.light, Clear)
     return Drawing(renderer.light.direct, renderer.light.glow, renderer.stray, renderer.texture, device)
 
 
-@lru_cache
 def taken(device: str) -> str:
-    """Prepare this process for a device that it shares with others, before its first use; its name, and the version of
+    """Use a device from now on in this thread, which it shares with other processes; its name, and the version of
     PyTorch. Raises PyTorch's RuntimeError."""
     from tacgen.tensor_engine.device import named, shared
 

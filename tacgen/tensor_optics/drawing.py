@@ -110,4 +110,4 @@ class Drawing:
             radiance, on(self._device, np.array(mixes), DOUBLE), self._fall, self._grain,
             torch.as_tensor(drawn.view(np.int16), device=self._device), self._quantiles, self._steps, self._counts,
         )  # fmt: skip
-        return pictures.cpu().numpy()
+        return np.asarray(pictures.cpu())

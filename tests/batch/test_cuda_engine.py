@@ -5,9 +5,7 @@ import sys
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
@@ -387,17 +385,6 @@ def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
     solution_file.write(path, SolvedScene("an engine", why="it is so"))
     assert solution_file.read(path) == SolvedScene("an engine", [], "it is so")
     assert solution_file.read(tmp_path / "none.npz") is None
-
-
-def test_processes_start_before_they_are_needed() -> None:
-    with ExitStack() as stack:
-        pool = cuda_engine._started(stack, 2, import_module, "tacgen.tensor_engine.planning")
-        assert len(pool._processes) == 2
-        assert "tacgen.tensor_engine.grids" in pool.submit(_modules).result()
-
-
-def _modules() -> list[str]:
-    return list(sys.modules)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 
 from tacgen.batch import local
 from tacgen.batch.worker_process import Worker
+from tacgen.recipe.row import Row
 
 
 class KeptWorkers:
@@ -19,9 +20,9 @@ class KeptWorkers:
         """From now on pools leave their idle workers to later ones."""
         leave = local.Pool.__exit__
 
-        def begun(task: str) -> Worker:
+        def begun(task: str, first: tuple[str, Row] | None = None) -> Worker:
             there = self.idle[_place(task)]
-            return there.pop() if there else Worker(task)
+            return there.pop() if there else Worker(task, first)
 
         def end(pool: local.Pool, *error: object) -> None:
             idle = [worker for worker in pool.workers if worker.ready and worker.job is None]
