@@ -127,8 +127,8 @@ def quantiles() -> "NDArray[np.float32]":
 
 @lru_cache(maxsize=2)
 def steps(response: str) -> "tuple[Floats, NDArray[np.uint8]]":
-    """Of CELLS equal cells of light from 0 on, (CELLS + 1,) each: the least light that is rounded to the count after
-    that at the lower end, infinite for the last, by bisection of the curve; and the counts at the lower ends."""
+    """The response in CELLS equal cells of light from 0 on: the least light that is rounded to the count after that at
+    a cell's lower end, infinite for the last, by bisection of the curve; and these counts; (CELLS + 1,) each."""
     count, low, most = np.arange(256), np.zeros(256), np.ones(256)
     for _ in range(80):  # halvings: a double has 53 bits, and the darkest step is above 2^-13
         middle = (low + most) / 2

@@ -14,7 +14,7 @@ from tacgen.optics.gaussian import weights
 from tacgen.optics.interreflection import TILT, Glow
 from tacgen.optics.shadows import LARGE, SMALL
 from tacgen.optics.strip_light_table import STEEP
-from tacgen.tensor_optics import gpu_light, gpu_response
+from tacgen.tensor_optics import gpu_light, gpu_noise, gpu_response
 from tacgen.tensor_optics.gpu_faces import FaceDrawer
 from tacgen.tensor_optics.gpu_response import on
 
@@ -70,6 +70,9 @@ class Drawing:
         least, counts = camera_response.steps(eye.response)
         self._steps, self._counts = on(device, least, DOUBLE), on(device, counts, torch.uint8)
         self._quantiles = on(device, camera_response.quantiles(), SINGLE)
+        height, width = self._shape
+        steps = 0 if eye.noise is None else math.ceil(3 * height * width / 4)  # of a generator, for a picture's noise
+        self._jumps = on(device, gpu_noise.jumps(steps), torch.int64)
 
     def radiance(self, nodes: Array) -> Tensor:
         """Linear radiance (F, H, W, 3), before the response, of faces by the positions (F, n, 3) [mm] of the sheet's
@@ -99,15 +102,18 @@ class Drawing:
         self, radiance: Tensor, random: Sequence[np.random.Generator | None], gains: Sequence["Array | None"]
     ) -> Array:
         """8-bit pictures (F, H, W, 3) of a radiance (F, H, W, 3) by camera_response.develop, each with the noise of its
-        generator and the gain (3,) on its colours."""
-        (height, width), eye = self._shape, self._sensor.camera
+        generator and the gain (3,) on its colours. The generators stay where they are.
+
+        Raises:
+            ValueError: with noise, one is not a PCG64 from which whole outputs were drawn.
+        """
+        eye = self._sensor.camera
         mixes = [camera_response.mix(eye, gain) for gain in gains]
-        shape = len(radiance), height, width, 3
-        drawn = np.empty((0, 1, 1, 1), np.uint16)
-        if eye.noise is not None and random[0] is not None:
-            drawn = np.stack([camera_response.drawn(each, height, width) for each in random if each]).reshape(shape)
+        drawn = torch.empty((len(radiance), 0), dtype=torch.int16, device=self._device)
+        if eye.noise is not None and any(each is not None for each in random):
+            drawn = gpu_noise.drawn(on(self._device, gpu_noise.states(random), torch.int64), self._jumps)
         pictures = gpu_response.counted(
-            radiance, on(self._device, np.array(mixes), DOUBLE), self._fall, self._grain,
-            torch.as_tensor(drawn.view(np.int16), device=self._device), self._quantiles, self._steps, self._counts,
+            radiance, on(self._device, np.array(mixes), DOUBLE), self._fall, self._grain, drawn, self._quantiles,
+            self._steps, self._counts,
         )  # fmt: skip
         return np.asarray(pictures.cpu())

@@ -29,7 +29,7 @@ def _nodes(
     NODES, LENS, SCREEN, LEVEL, FACING, count, rows, columns, LAYERS: tl.constexpr, STEPS: tl.constexpr,
     LANES: tl.constexpr,
 ):  # fmt: skip
-    """Of nodes (F, n, 3): their places in the image and on the grid of heights, and unit normals toward the camera."""
+    """Places of nodes (F, n, 3) in the image and on the grid of heights, and unit normals there toward the camera."""
     k = tl.program_id(0) * LANES + tl.arange(0, LANES)
     there, at = k < count, tl.program_id(1).to(tl.int64) * count + k
     px = tl.load(NODES + 3 * at, mask=there, other=0.0)
@@ -184,7 +184,7 @@ class Terrains(NamedTuple):
     extent: Tensor
 
 
-class Faces(NamedTuple):
+class SeenFaces(NamedTuple):
     """Faces behind the samples of a picture: nodes (F, n, 3) and unit normals there, in single precision; places of the
     nodes in the image (F, n, 2); and the key of the triangle behind each sample (F, h w)."""
 
@@ -208,7 +208,7 @@ class FaceDrawer:
         self.triangles = torch.tensor(sheet.faces.astype(np.int32), device=device)
         self._before = torch.tensor(untouched, dtype=torch.float64, device=device)
 
-    def draw(self, nodes: Tensor) -> Faces:
+    def draw(self, nodes: Tensor) -> SeenFaces:
         """Faces of nodes (F, n, 3) [mm], double precision."""
         frames, count, _ = nodes.shape
         screen, level = (nodes.new_empty(frames, count, 2) for _ in range(2))
@@ -216,7 +216,7 @@ class FaceDrawer:
         grid = triton.cdiv(count, LANES), frames
         _nodes[grid](nodes, self._lens, screen, level, facing, count, *self._grid, self._layers, STEPS, LANES)
         keys = self._keys(nodes, screen, self._shape)
-        return Faces(nodes.float(), facing, screen, keys, self._terrains(nodes, level))
+        return SeenFaces(nodes.float(), facing, screen, keys, self._terrains(nodes, level))
 
     def _keys(self, nodes: Tensor, screen: Tensor, shape: tuple[int, int]) -> Tensor:
         frames, count, _ = nodes.shape

@@ -39,10 +39,11 @@ def blurred(pictures: Tensor, weights: Tensor) -> Tensor:
 
 @triton.jit
 def _counted(
-    RADIANCE, MIX, FALL, GRAIN, DRAWN, QUANTILES, STEPS, COUNTS, OUT, pixels, NOISY: tl.constexpr, LANES: tl.constexpr
+    RADIANCE, MIX, FALL, GRAIN, DRAWN, QUANTILES, STEPS, COUNTS, OUT, pixels, numbers, NOISY: tl.constexpr,
+    LANES: tl.constexpr,
 ):  # fmt: skip
     """camera_response.develop of pictures (F, pixels, 3). FALL: exposure times the fall-off; GRAIN: shot and read noise
-    of each colour, and their strength."""
+    of each colour, and their strength; DRAWN (F, numbers)."""
     k, frame = tl.program_id(0) * LANES + tl.arange(0, LANES), tl.program_id(1).to(tl.int64)
     there, at = k < pixels, 3 * (frame * pixels + k)
     red = tl.load(RADIANCE + at, mask=there, other=0.0).to(tl.float64)
@@ -55,7 +56,7 @@ def _counted(
         if NOISY:
             shot, read = tl.load(GRAIN + c), tl.load(GRAIN + 3 + c)
             spread = tl.sqrt(shot * tl.minimum(tl.maximum(signal, 0.0), 1.0) + read * read) * tl.load(GRAIN + 6)
-            drawn = tl.load(DRAWN + at + c, mask=there, other=0).to(tl.int32) & 0xFFFF
+            drawn = tl.load(DRAWN + frame * numbers + 3 * k + c, mask=there, other=0).to(tl.int32) & 0xFFFF
             signal += spread * tl.load(QUANTILES + drawn)
         signal = tl.where(signal > 0.0, tl.minimum(signal, 1.0), 0.0)
         cell = (signal * 4096).to(tl.int32)
@@ -69,14 +70,14 @@ def counted(
 ) -> Tensor:  # fmt: skip
     """8-bit pictures (F, H, W, 3) of radiance (F, H, W, 3) by a mix (F, 3, 3) of its colours.
 
-    fall (H, W, 3): exposure times fall-off; grain (7,): shot and read noise of each colour, and their strength; drawn:
-    numbers of quantiles (F, H, W, 3), or none without noise; steps, counts: see optics.camera_response.
+    fall (H, W, 3): exposure times fall-off; grain (7,): shot and read noise of each colour, and their strength; drawn
+    (F, 3 H W or more): numbers of quantiles, or (F, 0) without noise; steps, counts: see optics.camera_response.
     """
-    frames, height, width, _ = radiance.shape
+    (frames, height, width, _), numbers = radiance.shape, drawn.shape[1]
     out = torch.empty(radiance.shape, dtype=torch.uint8, device=radiance.device)
     grid = triton.cdiv(height * width, LANES), frames
     _counted[grid](
-        radiance, mix, fall, grain, drawn, quantiles, steps, counts, out, height * width, drawn.numel() > 0, LANES
+        radiance, mix, fall, grain, drawn, quantiles, steps, counts, out, height * width, numbers, numbers > 0, LANES
     )
     return out
 

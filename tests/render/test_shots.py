@@ -86,7 +86,7 @@ def log(monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
     of_device.named = lambda device: f"a GPU at {device}, torch 0"  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "tacgen.tensor_optics.drawing", of_drawing)
     monkeypatch.setitem(sys.modules, "tacgen.tensor_engine.device", of_device)
-    kept = tensor_drawing.drawing, tensor_drawing.taken, pictures._rendering
+    kept = tensor_drawing.drawing, pictures._rendering
     for each in kept:
         each.cache_clear()
     yield log

@@ -25,7 +25,7 @@ from tacgen.tensor_optics.drawing import Drawing
 pytestmark = pytest.mark.slow  # the interpreter takes seconds
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 EVERYWHERE = SamplingTolerance(1, 0.0, 0.0)  # no sample is interpolated
-CAMERA = {**PLAIN["camera"], "width_px": 12, "height_px": 10, "mm_per_px": 3.3 * PLAIN["camera"]["mm_per_px"]}
+CAMERA = {**PLAIN["camera"], "width_px": 13, "height_px": 9, "mm_per_px": 3.3 * PLAIN["camera"]["mm_per_px"]}
 MATT = {"specular": 0.0}
 NOISE = {"shot": [1e-4] * 3, "read": [5e-3, 3e-3, 6e-3]}
 STAINED = {"grain": {"contrast": 0.05, "length_mm": 0.3}, "wear": {"loss": 0.3, "radius_mm": 1.0, "center_mm": [1, 0]}}
