@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 CHUNK = 2048  # scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
 EACH = 8  # processes at most that solve on one GPU: more of them have fewer scenes in a call
-MEMORY = 0.85  # part of a GPU's memory that they share
+MEMORY = 0.85  # part of a GPU's memory that they share, of what is left beside workers that draw on it
 PLANNERS, AT_ONCE = 8, 16  # processes at most that plan scenes, and scenes that one is given at a time
 LOOK_S = 0.1  # between looks for new solutions
 FOLDER = ".solved"
@@ -84,7 +84,8 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
             solutions = _Solutions(_unfinished(rows, folder, overwrite), folder, on_event)
 
             def begin(some: Sequence[Row], patient: bool) -> list[Future[SolvedPart]]:
-                return _begun(some, folder, devices, solving, count, mapped, patient)
+                drawing = -(-workers // len(devices)) if some[0].recipe.outputs & IMAGES else 0
+                return _begun(some, folder, devices, solving, count, mapped, patient, drawing)
 
             solved = ahead.submit(solutions.make, begin)
 
@@ -286,16 +287,26 @@ def _begun(
     count: int,
     mapped: Mapped,
     patient: bool,
+    drawing: int = 0,
 ) -> list[Future[SolvedPart]]:
     """Begin to write a solution for each row, or why there is none, in parts; where a process has died, a part that has
-    failed. patient: no scene is put off."""
+    failed. patient: no scene is put off. drawing: workers that draw on each device meanwhile."""
+    from tacgen.tensor_engine.device import beside
     from tacgen.tensor_engine.planning import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
-    parts, share = divided(plans, count), -(-count // len(devices))
+    parts, share = divided(plans, count), MEMORY / -(-count // len(devices))
     try:
         return [
-            solving.submit(_solve, {k: rows[k] for k in part}, [plans[k] for k in part], folder, device, share, patient)
+            solving.submit(
+                _solve,
+                {k: rows[k] for k in part},
+                [plans[k] for k in part],
+                folder,
+                device,
+                share * beside(device, drawing),
+                patient,
+            )
             for part, device in zip(parts, cycle(devices), strict=False)
         ]
     except BrokenProcessPool as error:
@@ -316,13 +327,13 @@ def _planned(numbered: tuple[int, Row]) -> "Planned":
 
 
 def _solve(
-    rows: Mapping[int, Row], plans: Sequence["Planned"], folder: Path, device: str, share: int, patient: bool
+    rows: Mapping[int, Row], plans: Sequence["Planned"], folder: Path, device: str, share: float, patient: bool
 ) -> SolvedPart:
-    """Write a solution for each of some rows that are not put off, or why there is none; `share`: processes that share
-    the device."""
+    """Write a solution for each of some rows that are not put off, or why there is none; `share`: the part of the
+    device's memory for this process."""
     from tacgen.tensor_engine.device import chosen, named
 
-    memory, late = chosen(device, MEMORY / share), list[str]()
+    memory, late = chosen(device, share), list[str]()
     versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
     by = f"batch engine on {named(device)}, {versions}"
     try:

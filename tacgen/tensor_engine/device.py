@@ -10,6 +10,9 @@ CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
 # not take that; and beyond which there is none for further recordings
 TIGHT, FULL = 0.6, 0.85
 URGENT = -1  # priority of a stream above the usual one
+# of the memory of a GPU, what a process takes that draws on it: three quarters are PyTorch's and CUDA's own [bytes];
+# and what they take together at most
+DRAWING, HALF = 0.7e9, 0.5
 BLOCKING_SYNC = 4  # CU_CTX_SCHED_BLOCKING_SYNC of CUDA's driver
 _urgent: dict[str, torch.cuda.Stream] = {}  # the stream of this process on each device
 _part = 1.0  # of a GPU's memory, that this process may use
@@ -38,6 +41,13 @@ def chosen(device: str, part: float = 1.0) -> float:
     torch.cuda.set_stream(_urgent[device])
     torch.cuda.set_per_process_memory_fraction(part)
     return part * float(torch.cuda.mem_get_info()[1])
+
+
+def beside(device: str, drawing: int) -> float:
+    """Part of a device's memory that is left beside so many processes that draw on it."""
+    if not device.startswith("cuda"):
+        return 1.0
+    return max(HALF, 1 - drawing * DRAWING / float(torch.cuda.get_device_properties(device).total_memory))
 
 
 def shared(device: str) -> None:

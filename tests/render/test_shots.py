@@ -149,7 +149,7 @@ def test_all_frames_are_drawn_at_once_and_are_those_of_the_cpu(
     assert found.verify() == expected.verify()
     log.clear()
     made(one, tmp_path / "again", solution, "cuda:0")
-    assert log == ["radiance of 3", *asked]
+    assert log == ["cuda:0 shared", "radiance of 3", *asked]  # taken again, since it is another one in each thread
 
 
 def test_many_frames_are_drawn_in_turns(

@@ -1,6 +1,7 @@
 """How the batch engine takes a device."""
 
 import ctypes
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -46,6 +47,14 @@ def test_a_process_sleeps_while_it_waits_for_its_gpu(monkeypatch: pytest.MonkeyP
     assert calls == []
     devices.chosen("cpu", 0.5)
     assert calls == []
+    devices.shared("cuda:1")  # to draw: work of the usual priority
+    assert calls == [(11, 4), "cuda:1"]
+
+
+def test_memory_beside_workers_that_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda device: SimpleNamespace(total_memory=7e9))
+    assert [devices.beside("cuda:0", count) for count in (0, 2, 16)] == pytest.approx([1.0, 0.8, 0.5])
+    assert devices.beside("cpu", 16) == 1.0
 
 
 def test_without_the_driver_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
