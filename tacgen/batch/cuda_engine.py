@@ -85,7 +85,7 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
 
             def begin(some: Sequence[Row], patient: bool) -> list[Future[SolvedPart]]:
                 drawing = -(-workers // len(devices)) if some[0].recipe.outputs & IMAGES else 0
-                return _begun(some, folder, devices, solving, count, mapped, patient, drawing)
+                return _begun(some, folder, devices, solving, count, mapped, drawing, patient)
 
             solved = ahead.submit(solutions.make, begin)
 
@@ -286,11 +286,11 @@ def _begun(
     solving: Executor,
     count: int,
     mapped: Mapped,
+    drawing: int,
     patient: bool,
-    drawing: int = 0,
 ) -> list[Future[SolvedPart]]:
     """Begin to write a solution for each row, or why there is none, in parts; where a process has died, a part that has
-    failed. patient: no scene is put off. drawing: workers that draw on each device meanwhile."""
+    failed. drawing: workers that draw on each device meanwhile. patient: no scene is put off."""
     from tacgen.tensor_engine.device import beside
     from tacgen.tensor_engine.planning import divided
 

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
@@ -43,7 +44,7 @@ def main(link: Connection, parent: int) -> None:
     task, first = _named(setup["task"]), threading.Thread(target=_before, args=(link.recv(),), daemon=True)
     first.start()
     link.send(("ready", None))
-    _work(link, task, first)
+    _work(link, task, first.join)
 
 
 def _named(function: str) -> Any:
@@ -63,15 +64,15 @@ def _before(call: Any) -> None:
         _named(function)(row)
 
 
-def _work(link: Connection, task: Any, first: threading.Thread) -> None:
-    """Answer jobs until the pipe is closed, the first of them once a thread has ended."""
+def _work(link: Connection, task: Any, made_ready: Callable[[], None]) -> None:
+    """Answer jobs until the pipe is closed, each when `made_ready` has returned."""
     returned = time.monotonic()
     while True:
         try:
             row, folder, overwrite = link.recv()
         except EOFError:
             return
-        first.join()
+        made_ready()
         link.send(_outcome(task, row, folder, overwrite, link))
         if time.monotonic() - returned >= RETURN_S:
             _return_memory()

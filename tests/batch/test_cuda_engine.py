@@ -88,7 +88,7 @@ def test_a_solution_is_labelled_without_another_coarse_solve(
     (row,) = planned(tmp_path, "press: {force_n: 1, frames: 1}").rows
     (tmp_path / cuda_engine.FOLDER).mkdir()
     with ThreadPoolExecutor(1) as solving:
-        (part,) = cuda_engine._begun([row], tmp_path, ["cpu"], solving, 1, map, True)
+        (part,) = cuda_engine._begun([row], tmp_path, ["cpu"], solving, 1, map, 0, True)
         assert part.result() == ((), [])
     monkeypatch.setattr(presolve, "presolved", lambda scene: pytest.fail("solved again"))
     assert cuda_engine.run_scene(row, tmp_path).status == "ok"
@@ -266,7 +266,7 @@ def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu
     with Dead(1) as solving:
         events: list[dict[str, Any]] = []
         solutions = cuda_engine._Solutions([row], tmp_path, events.append)
-        solutions.make(lambda rows, patient: cuda_engine._begun(rows, tmp_path, ["cpu"], solving, 1, map, patient))
+        solutions.make(lambda rows, patient: cuda_engine._begun(rows, tmp_path, ["cpu"], solving, 1, map, 0, patient))
         assert solutions.has(row)
         solutions.close()
         assert "a process of the batch engine died" in events[0]["note"]

@@ -97,12 +97,16 @@ def test_memory_is_not_returned_after_each_short_scene(
     ours, theirs = Pipe()
     for number in range(3):
         ours.send((number, tmp_path, False))
-    worker = Thread(target=worker_main._work, args=(theirs, lambda row, folder, **_: row))
+    begun: list[int] = []
+    worker = Thread(
+        target=worker_main._work, args=(theirs, lambda row, folder, **_: row, lambda: begun.append(len(returned)))
+    )
     worker.start()
     assert [ours.recv() for _ in range(3)] == [("done", 0), ("done", 1), ("done", 2)]
     ours.close()
     worker.join()
     assert len(returned) == returns
+    assert len(begun) == 3
 
 
 def test_shards_on_any_number_of_workers_give_what_one_process_gives(tmp_path: Path):
@@ -299,3 +303,15 @@ def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
     assert states == ["damaged", "at work", "waiting", "waiting", "ok"]
     assert survey(out).scenes[3].reason == "its place is taken by a bundle of other inputs"
     assert [scene.state for scene in survey(out).scenes][1] == "waiting"
+
+
+def test_workers_make_ready_before_their_first_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    ready = tmp_path / "ready"
+    ready.mkdir()
+    monkeypatch.setenv("MADE_READY", str(ready))
+    rows = make_plan(tmp_path).rows[:2]
+    with Pool(1, first="helpers.made_ready:noted") as pool:
+        results = pool.run(rows, tmp_path / "out")
+        (process,) = (worker.process.pid for worker in pool.workers)
+    assert [result.status for result in results] == ["ok", "ok"]
+    assert {path.name: path.read_text() for path in ready.iterdir()} == {str(process): rows[0].name}
