@@ -21,7 +21,7 @@ from tacgen.sensor.imperfections import Drift
 from tacgen.sensor.model import Camera, LitSensor
 
 Array = np.ndarray
-TOGETHER = 64  # frames at most that are drawn at once: their radiance takes 60 MB at 320 x 240 px
+TOGETHER = 64 * 320 * 240  # pixels at most, beyond those of a frame, that are drawn at once; each takes 30 bytes
 WAVES = 64  # of which a drift is the sum: its distribution is normal to within a few per cent
 
 
@@ -104,7 +104,8 @@ class Pictures:
         """The pictures of a frame with this face; `later`: so many of the faces after it, at most, by their frames."""
         if self._device is not None and frame not in self._drawn and tensor_drawing.drawable(self.renderer):
             self._drawn = {}  # before there are others
-            self._drawn = self._together({frame: face, **later(TOGETHER - 1)}, self._device)
+            at_once = max(1, TOGETHER // (self.flat.size // 3))
+            self._drawn = self._together({frame: face, **later(at_once - 1)}, self._device)
         return Shot(self, frame, face, *self._drawn.get(frame, (None, None)))
 
     def _disturbed(self, frame: int) -> tuple[np.random.Generator | None, Array | None]:
