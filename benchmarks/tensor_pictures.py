@@ -30,6 +30,8 @@ SCENES = 20  # drawn on the GPU for its time
 
 def main() -> None:
     told = arguments()
+    if told.device.startswith("cuda") and not torch.cuda.is_available():
+        raise SystemExit("PyTorch finds no GPU that it can use")
     print("sensor, quality: ms a frame of a core, of the GPU; difference of light; counts off, mean and most: CPU, GPU")
     for sensor in told.sensors:
         for quality in told.quality:

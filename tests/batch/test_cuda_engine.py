@@ -116,6 +116,20 @@ def test_known_frames_are_labelled_without_matrices(
     assert solved.verify() == labelled.verify()
 
 
+def test_memory_is_left_for_workers_that_draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tacgen.tensor_engine import device
+
+    monkeypatch.setattr(device, "beside", lambda name, drawing: 1 / (1 + drawing))
+    monkeypatch.setattr(cuda_engine, "_solve", lambda rows, plans, folder, name, share, patient: share)
+    rows, parts = planned(tmp_path).rows, list[object]()
+    with ThreadPoolExecutor(1) as solving:
+        for drawing in (0, 3):
+            parts += [
+                each.result() for each in cuda_engine._begun(rows, tmp_path, ["cpu"], solving, 2, map, drawing, False)
+            ]
+    assert parts == pytest.approx([cuda_engine.MEMORY / 2, cuda_engine.MEMORY / 8])
+
+
 def test_finished_scenes_are_not_solved_again(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = planned(tmp_path)
     batch.run(made, tmp_path / "out", engine="local")
