@@ -16,7 +16,6 @@ from tacgen.optics.shadows import LARGE, SMALL
 from tacgen.optics.strip_light_table import STEEP
 from tacgen.tensor_optics import gpu_light, gpu_noise, gpu_response
 from tacgen.tensor_optics.gpu_faces import FaceDrawer
-from tacgen.tensor_optics.gpu_response import on
 
 Array = np.ndarray
 SINGLE, DOUBLE = torch.float32, torch.float64
@@ -117,3 +116,8 @@ class Drawing:
             self._steps, self._counts,
         )  # fmt: skip
         return np.asarray(pictures.cpu())
+
+
+def on(device: str, values: Array, dtype: torch.dtype) -> Tensor:
+    """An array as a tensor of that type on a device."""
+    return torch.as_tensor(np.ascontiguousarray(values), device=device).to(dtype)

@@ -3,11 +3,12 @@
 The formulas are those of optics.gaussian and optics.camera_response.
 """
 
-import numpy as np
 import torch
 import triton
 import triton.language as tl
 from torch import Tensor
+
+from tacgen.optics.camera_response import CELLS
 
 LANES = 256  # of a program
 
@@ -40,7 +41,7 @@ def blurred(pictures: Tensor, weights: Tensor) -> Tensor:
 @triton.jit
 def _counted(
     RADIANCE, MIX, FALL, GRAIN, DRAWN, QUANTILES, STEPS, COUNTS, OUT, pixels, numbers, NOISY: tl.constexpr,
-    LANES: tl.constexpr,
+    CELLS: tl.constexpr, LANES: tl.constexpr,
 ):  # fmt: skip
     """camera_response.develop of pictures (F, pixels, 3). FALL: exposure times the fall-off; GRAIN: shot and read noise
     of each colour, and their strength; DRAWN (F, numbers)."""
@@ -59,7 +60,7 @@ def _counted(
             drawn = tl.load(DRAWN + frame * numbers + 3 * k + c, mask=there, other=0).to(tl.int32) & 0xFFFF
             signal += spread * tl.load(QUANTILES + drawn)
         signal = tl.where(signal > 0.0, tl.minimum(signal, 1.0), 0.0)
-        cell = (signal * 4096).to(tl.int32)
+        cell = (signal * CELLS).to(tl.int32)
         count = tl.load(COUNTS + cell).to(tl.int32) + (signal >= tl.load(STEPS + cell)).to(tl.int32)
         tl.store(OUT + at + c, count.to(tl.uint8), mask=there)
 
@@ -77,11 +78,7 @@ def counted(
     out = torch.empty(radiance.shape, dtype=torch.uint8, device=radiance.device)
     grid = triton.cdiv(height * width, LANES), frames
     _counted[grid](
-        radiance, mix, fall, grain, drawn, quantiles, steps, counts, out, height * width, numbers, numbers > 0, LANES
-    )
+        radiance, mix, fall, grain, drawn, quantiles, steps, counts, out, height * width, numbers, numbers > 0, CELLS,
+        LANES,
+    )  # fmt: skip
     return out
-
-
-def on(device: str, values: np.ndarray, dtype: torch.dtype) -> Tensor:
-    """An array as a tensor of that type on a device."""
-    return torch.as_tensor(np.ascontiguousarray(values), device=device).to(dtype)
