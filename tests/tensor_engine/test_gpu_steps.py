@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -25,7 +25,7 @@ from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact_newton import Iterates, TriedStep
 from tacgen.tensor_engine.replay import Replays
 from tensor_engine.batches import batch, path, small, solve
-from tensor_engine.compiling import compiled
+from tensor_engine.compiling import interpreted_and_compiled
 from tensor_engine.dense import Dense
 from tensor_engine.test_contact import Case
 
@@ -41,9 +41,8 @@ LAUNCHES = {"contact": 57, "search": 59, "measure": 64, "load": 23}
 
 
 @pytest.fixture(autouse=True)
-def interpreted() -> Iterator[None]:
-    """What is interpreted is compiled, too."""
-    with compiled() if DEVICE == "cpu" else nullcontext():
+def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with interpreted_and_compiled(monkeypatch):
         yield
 
 
