@@ -7,7 +7,7 @@ import numpy as np
 
 from tacgen.errors import UserError
 from tacgen.fem.materials import Law
-from tacgen.geometry import mesh_import
+from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.outline import Pad
 from tacgen.geometry.rasterize import nearest
 
@@ -99,7 +99,7 @@ class SolidGel(GelBody):
     [rad] of z; this face must have no overhang, as seen by the camera below.
     """
 
-    solid: mesh_import.SolidMesh | None = None
+    solid: mesh_file.SolidMesh | None = None
     bonded: float = 0.0
     coated: float = 0.0
 

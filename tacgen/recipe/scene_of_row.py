@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_import, surface_nets
+from tacgen.geometry import mesh_file, mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Triangles
 from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
 from tacgen.mechanics.scene import GelDynamics, Scene
@@ -39,8 +39,8 @@ def _reach_of_gel(row: Row) -> tuple[float, float]:
     return max(diagonal + 1.0, aside + diagonal / 2 + rise), np.inf if tilted else rise
 
 
-def _solid(i: indenters.Mesh, row: Row) -> mesh_import.SolidMesh:
-    return mesh_import.placed(mesh_import.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
+def _solid(i: indenters.Mesh, row: Row) -> mesh_file.SolidMesh:
+    return mesh_import.placed(mesh_file.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
 
 
 def shape_of(row: Row) -> Shape:
@@ -84,7 +84,7 @@ def gel_of(sensor: Sensor, solid_path: Path | None = None) -> GelBody:
         layers.append(GelLayer(layer.thickness_mm, law, modulus, layer.terms))
     g = sensor.gel
     if g.solid is not None and solid_path is not None:
-        solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
+        solid = mesh_import.placed(mesh_file.read(solid_path), up=g.solid.up, scale=g.solid.scale)
         held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
         return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=held[0], coated=held[1])
     return GelBody(**vars(g.pad), layers=tuple(layers))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_import
+from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
 from tacgen.recipe import approach, assets, indenters, pose_table
@@ -70,7 +70,7 @@ def body_of(indenter: Indenter, given: Placement | None, turns: Array) -> Record
         UserError: the mesh cannot be read; nothing says where a shape is in the recorded body.
     """
     if indenter.shape == "mesh":
-        solid = mesh_import.read(assets.mesh_path(indenter.file))
+        solid = mesh_file.read(assets.mesh_path(indenter.file))
         scale, size = indenter.scale, indenter.size_mm
         if given is None:
             up = max(AXES, key=lambda axis: _height(axis, turns))

@@ -13,7 +13,7 @@ from tacgen.bundle import postprocess
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_import, surface_nets
+from tacgen.geometry import mesh_file, mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.recipe import assets
@@ -200,7 +200,7 @@ def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
         path = assets.mesh_path(indenter.file)
         if assets.sha256(path) != indenter.sha256:
             return None
-        solid = mesh_import.read(path)
+        solid = mesh_file.read(path)
     except UserError:
         return None
     solid = mesh_import.placed(solid, up=indenter.up, scale=indenter.scale, size=indenter.size_mm)

@@ -1,4 +1,4 @@
-"""Mesh files: read, mended, refused and turned; distances against closed forms; the cache; recipes with meshes."""
+"""Solids of triangles: turned; distances against closed forms; the cache; recipes with meshes."""
 
 from pathlib import Path
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from helpers.program import loaded
+from helpers.meshes import ball, box, saved
 
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_import
-from tacgen.geometry.mesh_import import SolidMesh
+from tacgen.geometry import mesh_file, mesh_import
+from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.recipe import assets, plan, scene_of_row
 
 Array = np.ndarray
@@ -21,21 +21,8 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
 
 
-def saved(mesh: Any, path: Path) -> Path:
-    mesh.export(path)
-    return path
-
-
 def solid_of(mesh: trimesh.Trimesh) -> SolidMesh:
     return SolidMesh("test", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))
-
-
-def ball(subdivisions: int = 5) -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(subdivisions=subdivisions, radius=4.0)
-
-
-def box(*size: float) -> trimesh.Trimesh:
-    return trimesh.creation.box(size)
 
 
 def field(mesh: trimesh.Trimesh, cell: float, height: float = 1.5) -> Any:
@@ -74,59 +61,6 @@ def test_a_wall_thinner_than_the_cell_gets_a_finer_grid():
     assert field(box(6, 6, 0.3), 0.15).cell == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
-def test_formats(suffix: str, tmp_path: Path):
-    found = mesh_import.read(saved(box(2, 3, 4), tmp_path / f"box.{suffix}"))
-    assert len(found.vertices) == 8
-    assert np.ptp(found.vertices, axis=0) == pytest.approx([2, 3, 4])
-
-
-def test_small_damage_is_repaired(tmp_path: Path):
-    holed = box(2, 2, 2)
-    holed.update_faces(np.arange(12) != 3)
-    assert len(mesh_import.read(saved(holed, tmp_path / "holed.stl")).triangles) == 12
-    inverted = box(2, 2, 2)
-    inverted.invert()
-    found = mesh_import.read(saved(inverted, tmp_path / "inverted.stl"))
-    assert trimesh.Trimesh(found.vertices, found.triangles).volume == pytest.approx(8)
-    half = box(2, 2, 2)
-    half.faces[:5] = half.faces[:5, ::-1]
-    found = mesh_import.read(saved(half, tmp_path / "half.stl"))
-    assert trimesh.Trimesh(found.vertices, found.triangles).volume == pytest.approx(8)
-
-
-def cracked() -> trimesh.Trimesh:
-    """A ball whose triangles have corners of their own, none quite where its neighbour's is."""
-    whole = ball(3)
-    loose = whole.vertices[whole.faces].reshape(-1, 3)
-    loose += np.random.default_rng(0).uniform(-1e-5, 1e-5, loose.shape)
-    return trimesh.Trimesh(loose, np.arange(len(loose)).reshape(-1, 3), process=False)
-
-
-def holed() -> trimesh.Trimesh:
-    """A ball with a hole of six edges, and a triangle that hangs off an edge."""
-    mesh = ball(3)
-    mesh.update_faces(~(mesh.faces == mesh.faces[500, 0]).any(1))
-    mesh.remove_unreferenced_vertices()
-    flag = np.array([*mesh.faces[10, :2], len(mesh.vertices)])
-    outside = mesh.triangles_center[10] * 1.2
-    return trimesh.Trimesh([*mesh.vertices, outside], [*mesh.faces, flag], process=False)
-
-
-@pytest.mark.parametrize("make", [cracked, holed])
-def test_what_trimesh_cannot_repair_is_repaired_by_meshlab(make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    pytest.importorskip("pymeshlab")
-    path = saved(make(), tmp_path / "torn.stl")
-    found = mesh_import.read(path)
-    mended = trimesh.Trimesh(found.vertices, found.triangles, process=False)
-    assert mended.is_watertight
-    assert mended.is_winding_consistent
-    assert mended.volume == pytest.approx(ball(3).volume, rel=0.01)
-    monkeypatch.setattr(mesh_import, "_repaired", lambda mesh: mesh)
-    with pytest.raises(UserError, match=r"is not closed: \d+ "):
-        mesh_import.read(path)
-
-
 def slivered(mesh: trimesh.Trimesh, height: float) -> trimesh.Trimesh:
     """Every third triangle split at a point `height` from the middle of one of its edges, as bad exporters do."""
     v, faces, more = list(mesh.vertices), [], []
@@ -151,63 +85,14 @@ def test_slivers_change_no_distance(height: float):
 def test_overlapping_bodies_are_united(tmp_path: Path):
     other = box(2, 2, 2)
     other.apply_translation([1, 0, 0])
-    found = mesh_import.read(saved(trimesh.util.concatenate([box(2, 2, 2), other]), tmp_path / "two.stl"))
+    found = mesh_file.read(saved(trimesh.util.concatenate([box(2, 2, 2), other]), tmp_path / "two.stl"))
     assert found.body.max() == 1
     made = mesh_import.field(mesh_import.placed(found), cell=0.1, height=2.0, half=30)
     inside = np.column_stack([np.linspace(-1.2, 1.2, 25), np.zeros(25), np.full(25, 0.5)])
     assert (made.distance(inside)[0] < -0.2).all()
 
 
-def open_ball(tmp_path: Path) -> Path:
-    mesh = ball(2)
-    mesh.update_faces(mesh.triangles_center[:, 2] < 2)
-    return saved(mesh, tmp_path / "open.stl")
-
-
-def flat(tmp_path: Path) -> Path:
-    return saved(box(2, 2, 1e-9), tmp_path / "flat.stl")
-
-
-def text(name: str, content: bytes):
-    def write(tmp_path: Path) -> Path:
-        (tmp_path / name).write_bytes(content)
-        return tmp_path / name
-
-    return write
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (open_ball, "is not closed: "),
-        (open_ball, " open edges; close it in a mesh editor first"),
-        (flat, "encloses no volume"),
-        (text("a.stl", b""), ": "),
-        (text("a.stl", b"solid x\nendsolid x\n"), "holds no triangles"),
-        (text("a.ply", b"no mesh"), "is not a mesh that can be read ("),
-        (text("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"), "is not a mesh that can be read ("),
-        (text("a.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "holds vertices that are not numbers"),
-        (lambda folder: folder / "none.stl", "No such file"),
-    ],
-)
-def test_what_cannot_be_used_is_reported_in_one_line(make: Any, says: str, tmp_path: Path):
-    path = make(tmp_path)
-    with pytest.raises(UserError) as caught:
-        mesh_import.read(path)
-    (line,) = caught.value.lines
-    assert line.startswith(str(path))
-    assert says in line
-    assert "\n" not in line
-
-
-def test_limits_of_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = saved(ball(2), tmp_path / "ball.stl")
-    monkeypatch.setattr(mesh_import, "MAX_TRIANGLES", 100)
-    with pytest.raises(UserError, match="has 320 triangles, at most 100"):
-        mesh_import.read(path)
-    monkeypatch.setattr(mesh_import, "MAX_FILE", 10)
-    with pytest.raises(UserError, match="cannot be read: 0 MB, at most 0 can be read"):
-        mesh_import.read(path)
+def test_a_grid_has_a_bounded_number_of_nodes(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(mesh_import, "MAX_NODES", 20_000)
     assert field(ball(2), 0.05).coefficients.size < 60_000
 
@@ -347,24 +232,3 @@ def test_mistakes_in_a_recipe(old: str, new: str, says: str, tmp_path: Path):
     with pytest.raises(UserError) as caught:
         plan.load(written(tmp_path / "a", RECIPE.replace(old, new)))
     assert any(says in line for line in caught.value.lines), caught.value.lines
-
-
-# -- shipped objects --
-
-
-@pytest.mark.parametrize("name", assets.list_objects())
-def test_shipped_objects_are_what_the_script_makes(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    script = loaded(Path(__file__).parents[2] / "scripts" / "make_objects.py")
-    monkeypatch.setattr(script, "ROOT", tmp_path)
-    shipped = assets.mesh_path(name)
-    made, kept = (trimesh.load_mesh(path).triangles for path in (script.write(name), shipped))
-    assert made == pytest.approx(kept, abs=1e-6)  # sines differ in the last bit from one machine to the next
-    assert shipped.stat().st_size < 200_000
-    solid = mesh_import.read(shipped)
-    assert solid.body.max() == 0
-    assert np.ptp(solid.vertices, axis=0).max() < 15
-    readme = (shipped.parent / "README.md").read_text()
-    assert "Apache-2.0" in readme
-    assert "make_objects.py" in readme
-    extents = " x ".join(f"{size:.1f}" for size in np.ptp(solid.vertices, axis=0))
-    assert extents in readme

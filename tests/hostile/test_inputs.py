@@ -11,15 +11,15 @@ import pytest
 from PIL import Image
 
 from hostile import attempts
-from tacgen.geometry import mesh_import
+from tacgen.geometry import mesh_file
 from tacgen.recipe import assets, background_photo, plan, pose_table
 from tacgen.sensor import yaml_source
 
 READERS: dict[str, Callable[[Path], object]] = {
     "recipe.yaml": yaml_source.load,
-    "ball.stl": mesh_import.read,
-    "ball.obj": mesh_import.read,
-    "ball.ply": mesh_import.read,
+    "ball.stl": mesh_file.read,
+    "ball.obj": mesh_file.read,
+    "ball.ply": mesh_file.read,
     "poses.csv": pose_table.read,
     "photo.png": background_photo.read,
     "any": assets.sha256,
@@ -52,7 +52,7 @@ def test_only_regular_files_of_a_bounded_size_are_read(tmp_path: Path, name: str
 def test_a_mesh_opens_no_other_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "ball.obj").write_text("mtllib pipe\nusemtl a\n" + _obj())
-    assert outcome(lambda: mesh_import.read(tmp_path / "ball.obj"), tmp_path) == "accepted"
+    assert outcome(lambda: mesh_file.read(tmp_path / "ball.obj"), tmp_path) == "accepted"
 
 
 def _obj() -> str:
@@ -94,7 +94,7 @@ MESHES = {
 def test_crafted_meshes_are_refused(tmp_path: Path, name: str) -> None:
     file, content = MESHES[name]
     (tmp_path / file).write_bytes(content)
-    assert outcome(lambda: mesh_import.read(tmp_path / file), tmp_path) == "refused"
+    assert outcome(lambda: mesh_file.read(tmp_path / file), tmp_path) == "refused"
 
 
 @pytest.mark.parametrize("number", ["0x" + "f" * 5000, "9" * 5000, "-0x" + "f" * 5000, "0b" + "1" * 20000])

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from helpers.presses import Run, gel, poses, run, scene
 
-from tacgen.geometry import mesh_import, surface_nets
+from tacgen.geometry import mesh_file, mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, SphereSdf
 from tacgen.recipe import scene_of_row
 
@@ -47,7 +47,7 @@ def test_a_mesh_indenter() -> None:
     def ball(by: float) -> Shape:
         found = trimesh.creation.icosphere(subdivisions=3, radius=2.5 * by)
         cell = scene_of_row.SDF_CELL * 0.6 * by
-        raw = mesh_import.SolidMesh("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
+        raw = mesh_file.SolidMesh("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
         return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by)
 
     assert_alike(pressed(1, ball(1)), pressed(by, ball(by)), by, 1e-6)

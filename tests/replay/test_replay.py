@@ -15,7 +15,7 @@ from tacgen import pipeline, replay
 from tacgen.bundle.bundle import read
 from tacgen.cli import app
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_import
+from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.indenters import Box, Mesh
 from tacgen.recipe.trajectory import Placement
@@ -207,12 +207,12 @@ def test_a_mesh_is_where_its_file_was_recorded(tmp_path: Path) -> None:
         turns = (Rotation.from_rotvec([0.1, 0.2, 0.3]) * turn).as_matrix()[None]
         body = selection.body_of(shape, None, turns)
         assert body.indenter.up == name
-        placed = mesh_import.placed(mesh_import.read(tmp_path / "thing.stl"), up=name, scale=1000.0).vertices
+        placed = mesh_import.placed(mesh_file.read(tmp_path / "thing.stl"), up=name, scale=1000.0).vertices
         inner = matrices(
             np.array([body.pose.position_mm]), Rotation.from_quat([body.pose.quaternion], scalar_first=True)
         )
         there = placed @ inner[0, :3, :3].T + inner[0, :3, 3]
-        assert np.sort(there, 0) == pytest.approx(np.sort(mesh_import.read(tmp_path / "thing.stl").vertices * 1000, 0))
+        assert np.sort(there, 0) == pytest.approx(np.sort(mesh_file.read(tmp_path / "thing.stl").vertices * 1000, 0))
         assert body.distance(placed.mean(0)[None]) == pytest.approx(-3.0)
         assert body.lowest(np.eye(4)) == pytest.approx(0.0)
 
