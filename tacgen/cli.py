@@ -171,7 +171,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, force_error_note, loading
+    from tacgen.recipe import approach, assets, loading, scene_checks
     from tacgen.sensor import usual_values, yaml_source
 
     path = assets.recipe_path(file)
@@ -188,7 +188,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in [*row.notes, *filter(None, [approach.note(plan.rows), force_error_note.note(row)])]:
+    for note in [*row.notes, *filter(None, [approach.note(plan.rows)]), *scene_checks.notes(plan.rows)]:
         typer.echo(f"note: {note}")
 
 

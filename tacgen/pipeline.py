@@ -18,8 +18,8 @@ from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import as_stored, finite_problem
 from tacgen.mechanics import mesh, presolve
-from tacgen.mechanics.cost_note import cost_note, resolution_note
-from tacgen.mechanics.expected_error import FaceGrid, expected_force_error
+from tacgen.mechanics.cost_note import cost_note
+from tacgen.mechanics.expected_error import Expected, FaceGrid
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from tacgen.outputs.gel_surface import GelSurface
     from tacgen.render.pictures import Pictures
 
+COARSE = 0.1  # expected error of the force by the mesh [-], above which a run tells it
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 STRESS = {"stress", "surface_stress"}  # outputs that need the gel's elements
 TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
@@ -91,8 +92,8 @@ def _attributes(
     if row.recipe.outputs & IMAGES:
         with clock.stage("render"):
             found["renderer"] = shared.pictures.name
-    radius, edge = problem.contact.shape.smallest_radius, problem.edge
-    coarse = resolution_note(radius, edge, built.gel.thickness, formulation)
+    expected = Expected.of(built)
+    coarse = expected.note() if expected and expected.error > COARSE else ""
     if row.pair is not None:
         found["pair"] = row.pair
     if solution is not None and solution.states:
@@ -200,6 +201,8 @@ def _gels(row: Row, clock: Clock, solution: SolvedScene | None = None) -> tuple[
     if built.forced is not None:
         with clock.stage("presolve"):
             built = presolve.refined(built, known.heights) if known else presolve.presolved(built)
+    if (expected := Expected.of(built)) is not None:
+        expected.refuse()
     with clock.stage("mesh"):
         if known:
             stress = bool(row.recipe.outputs & STRESS)
@@ -292,8 +295,8 @@ class Recorder:
             frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before, held), self.clock))
             self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
             frame["/frames/segment"] = self.scene.segment[state.index]
-            width = self.face.width(self.scene.shape, state.pose) if self.face else math.nan
-            frame["/frames/quality/expected_force_error"] = expected_force_error(self.scene.edge, width)
+            error = self.face.error(self.scene.shape, state.pose, self.scene.edge) if self.face else math.nan
+            frame["/frames/quality/expected_force_error"] = error
             if self.scene.duration is not None:
                 frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()
             return frame

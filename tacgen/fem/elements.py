@@ -14,7 +14,7 @@ HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7
 QUAD_CORNERS = HEX_CORNERS[:4, :2]
 GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
 # Gauss-Legendre points and weights on [-1, 1], by number of points
-GAUSS = {2: (GAUSS2, np.ones(2)), 3: (np.array([-1.0, 0, 1]) * np.sqrt(0.6), np.array([5.0, 8, 5]) / 9)}
+GAUSS = {2: (GAUSS2, np.ones(2)), **{n: np.polynomial.legendre.leggauss(n) for n in (3, 4)}}
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 TET4 = (5 - np.sqrt(5.0)) / 20  # the smaller barycentric coordinate of the 4-point rule of degree 2 for tets

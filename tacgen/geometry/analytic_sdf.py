@@ -12,9 +12,12 @@ Inside a core d decreases linearly, so that a gel that overlaps it at the start 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from tacgen.geometry.convex_edges import Convex
 
 Array = np.ndarray
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -27,6 +30,10 @@ class Shape(Protocol):
     @property
     def smallest_radius(self) -> float:
         """Smallest radius of curvature that can touch the gel [mm]."""
+
+    @property
+    def convex(self) -> "Convex | None":
+        """The convex edges and tips; None: all have the `smallest_radius`."""
 
     @property
     def reach(self) -> float:
@@ -89,6 +96,10 @@ def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
 
 class Grown(ABC):
     """A core offset outward by `smallest_radius`; see Shape."""
+
+    @property
+    def convex(self) -> None:
+        return None
 
     @property
     @abstractmethod

@@ -11,6 +11,8 @@ import numpy as np
 
 from tacgen import array_cache
 from tacgen.errors import UserError
+from tacgen.geometry import exact_edges
+from tacgen.geometry.convex_edges import Convex
 from tacgen.geometry.mesh_file import SolidMesh, read
 from tacgen.geometry.sdf_grid import Field
 
@@ -21,7 +23,6 @@ MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no f
 FINER = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of the edge that are tried for walls too thin for it [-]
 MIN_WALL = 3  # thickness of a wall over the grid's cell [-]; forces of thinner ones are 10 to 90 % too low
 MAX_THIN = 0.01  # largest share of the surface that may belong to thinner walls
-SHARP_ANGLE = np.radians(30)  # angle of triangles at a sharp edge; smaller angles approximate a fillet [rad]
 
 
 def placed(solid: SolidMesh, *, up: str = "+z", scale: float = 1.0, size: float | None = None) -> SolidMesh:
@@ -82,13 +83,14 @@ def _sizes(path: Path, up: str, scale: float, *_: int) -> tuple[float, float, fl
     return float(x), float(y), float(z)
 
 
-def field(solid: SolidMesh, *, cell: float, height: float, half: float) -> Field:
-    """Signed distance of a placed solid as a spline.
+def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: float) -> Field:
+    """Signed distance of a placed solid: a spline, with the triangles themselves at sharp edges.
 
     Args:
         cell: spacing of the grid [mm]; smaller for thin bodies, larger if there would be more than MAX_NODES nodes.
         height: largest height of the gel above the lowest point [mm].
         half: largest distance of the gel from the z axis [mm].
+        radius: of sharp convex edges [mm].
 
     Raises:
         UserError: a surface that cuts through itself.
@@ -105,9 +107,13 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float) -> Field
     distances = array_cache.kept_one("distances", key, lambda: _distances(*asked))
     from scipy.spatial import ConvexHull
 
-    radius = max(smallest_radius(solid, height), 2 * cell)  # the field rounds edges by two cells
     corners = solid.vertices[ConvexHull(solid.vertices).vertices]
-    return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
+    convex = Convex.of(solid, radius)
+    smallest = convex.smallest(lambda at: at[:, 2] < height)
+    spline = Field.through(
+        distances, origin, cell, smallest_radius=smallest, corners=corners, convex=convex, blunt=True
+    )
+    return exact_edges.sharpened(spline, distances, solid, radius)
 
 
 def refuse_thin_walls(solid: SolidMesh, cell: float, height: float, edge: float) -> None:
@@ -139,23 +145,6 @@ def _thin_share(solid: SolidMesh, thickness: float, height: float) -> float:
     inward = middle[some] - thickness * normal[some] / area[some, None]
     thin = area[some] @ ~inside(solid.vertices, solid.triangles, inward)
     return float(thin / area[some].sum()) if len(some) else 0.0
-
-
-def smallest_radius(solid: SolidMesh, height: float) -> float:
-    """The 1 % quantile of the radii of curvature [mm] at convex edges below `height`; 0 for sharp edges.
-
-    Exact for the strips of triangles of CAD fillets, up to 1.5 times too large for equilateral triangles.
-    """
-    import trimesh
-
-    mesh = trimesh.Trimesh(solid.vertices, solid.triangles, process=False)
-    angle = mesh.face_adjacency_angles
-    low = mesh.vertices[mesh.face_adjacency_edges][:, :, 2].min(1) < height
-    convex = low & mesh.face_adjacency_convex & (angle > 1e-3)
-    if not convex.any():
-        return float(np.inf)
-    across = mesh.face_adjacency_span[convex] / 2  # about the distance between the centres of two triangles
-    return round(float(np.quantile(np.where(angle[convex] > SHARP_ANGLE, 0.0, across / angle[convex]), 0.01)), 4)
 
 
 def _distances(solid: SolidMesh, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from tacgen.compiled import njit
+from tacgen.geometry.convex_edges import Convex
 
 Array = np.ndarray
 EDGE_BEND = 0.5  # sum of second differences at an edge, over the cell size [-]
@@ -17,7 +18,7 @@ MEAN_EDGE_BEND = 0.35  # the same for the binomial mean, which spreads an edge o
 
 
 @njit(cache=False)
-def _weights(t: float, w: Array) -> None:
+def spline_weights(t: float, w: Array) -> None:
     """B-spline weights w (3, 4) of the four nodes around a point at t in its cell: values, slopes, curvatures."""
     s = 1 - t
     w[0, 0] = s * s * s / 6
@@ -51,7 +52,7 @@ def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array
             away[a] = (x - inner) * cell
             outside += away[a] ** 2
             index = min(int(inner), c.shape[a] - 3)
-            _weights(inner - index, w[a])
+            spline_weights(inner - index, w[a])
             first[a] = index - 1
         i, j, k = first[0], first[1], first[2]
         v = gx = gy = gz = xx = yy = zz = xy = xz = yz = 0.0
@@ -100,8 +101,8 @@ class Field:
     """A rigid indenter given by its signed distance on a grid; fits `analytic_sdf.Shape`.
 
     coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; corners (h, 3) of the
-    body's convex hull [mm]. Outside the grid the distance is a lower bound: the surface that can touch the gel must be
-    inside, at least the contact range from the grid's boundary.
+    body's convex hull [mm]; its `convex` edges. Outside the grid the distance is a lower bound: the surface
+    that can touch the gel must be inside, at least the contact range from the grid's boundary.
     """
 
     coefficients: Array
@@ -110,6 +111,7 @@ class Field:
     smallest_radius: float
     reach: float
     corners: Array
+    convex: Convex | None = None
 
     @classmethod
     def through(
@@ -120,6 +122,7 @@ class Field:
         *,
         smallest_radius: float,
         corners: Array,
+        convex: Convex | None = None,
         blunt: bool = False,
     ) -> "Field":
         """The field of signed distances (i, j, k) [mm], at least 4 a side, at the grid's nodes.
@@ -140,7 +143,7 @@ class Field:
                 mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
             smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND * cell)) ** 2))
             spline = smooth * spline + (1 - smooth) * mean
-        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners)
+        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners, convex)
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""

@@ -3,42 +3,69 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import MAX_SLOPE
 from tacgen.geometry.pose import Pose
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
     from tacgen.geometry.gel import GelBody
+    from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
 AT_1_MM, EDGE_POWER, WIDTH_POWER = 0.110, 1.8, -0.45  # fitted by scripts/edge_law.py to 45 ordinary scenes
+AT_SHARP = 0.2  # error over edge / size of a contact at edges sharper than the mesh [-], by benchmarks/sharp.py
+SHARP = 1.5  # radius over the element edge, below which it is such an edge; above, the error falls as 1 / radius [-]
 FACTOR = 2  # within which most measured errors are: 77 % of 75 errors of 15 scenes that the fit has not seen
+LOOKED_AT = 12  # frames of a scene whose contact is measured
+LARGEST = 0.5  # expected error [-] above which a force is not shipped
 POINTS = 15_000  # of the face's bounding box at which the overlap is counted: some .2 mm apart
 BLOCK = 8  # points along the side of a block, in which none is looked at if the indenter is far away
+FEW, FINER = 150, 8  # points of an overlap, below which it is counted on a grid that is so many times as fine
 
 
-def expected_force_error(edge: float, width: float) -> float:
-    """Expected error of the force by the mesh, over the force [-]: .110 edge^1.8 width^-.45, within a factor of 2.
+class Overlap(NamedTuple):
+    """The part of the untouched face that lies inside an indenter: area [mm^2] and perimeter [mm]."""
 
-    It says how large the error is, not its sign (mostly the force is too large). Measured for hexahedra and contact by
-    distance, with edges from .3 to 1.2 mm against .21 mm, in presses of ordinary scenes (benchmarks/draws.py). Long
-    frames with friction, folds and the gel's constants have errors of their own.
+    area: float
+    perimeter: float
+
+    @property
+    def width(self) -> float:
+        """Twice the area over the perimeter [mm], of a disc its radius; nan if there is no overlap."""
+        return 2 * self.area / self.perimeter if self.perimeter else math.nan
+
+
+def expected_force_error(edge: float, contact: Overlap, radius: float) -> float:
+    """Expected error of the force by the mesh, over the force [-], within a factor of 2; nan without contact:
+
+        .110 edge^1.8 width^-.45 + .2 min(1, 1.5 edge / radius) edge / size,    size^2 = width area^1/2
+
+    The second part is that of edges and tips: a mesh cannot dent more narrowly than its edge, so the gel is pressed on
+    a wider strip around a sharp rim. It says how large the error is, not its sign (mostly the force is too large).
+    Measured for hexahedra and contact by distance, with edges from .3 to 1.2 mm against .21 mm, in presses of ordinary
+    scenes (benchmarks/draws.py), and of sharp ones (benchmarks/sharp.py). Long frames with friction, folds and the
+    gel's constants have errors of their own.
 
     Args:
-        edge: element edge under the contact [mm].
-        width: twice the area over the perimeter of the contact [mm], of a disc its radius; nan without contact.
+        edge: element edge under the contact [mm]. radius: the indenter's smallest one in contact [mm].
     """
-    return float(AT_1_MM * edge**EDGE_POWER * width**WIDTH_POWER) if width > 0 else math.nan
+    if not (width := contact.width) > 0:
+        return math.nan
+    smooth = AT_1_MM * edge**EDGE_POWER * width**WIDTH_POWER
+    sharp = AT_SHARP * min(1.0, SHARP * edge / max(radius, 1e-9)) * edge / math.sqrt(width * math.sqrt(contact.area))
+    return float(smooth + sharp)
 
 
 @dataclass(frozen=True)
 class FaceGrid:
     """Points (n, 3) [mm] of the untouched face on a grid of `shape`, `step` [mm] apart, and which are on the gel."""
 
+    gel: "GelBody"
     points: Array
     shape: tuple[int, int]
     inside: Array
@@ -53,17 +80,46 @@ class FaceGrid:
         at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
         inside = gel.contains(*at.T)
         top = np.where(inside, gel.top(*at.T), 0.0)
-        return cls(np.column_stack([at, top]), (len(x), len(y)), inside, step)
+        return cls(gel, np.column_stack([at, top]), (len(x), len(y)), inside, step)
 
-    def overlap(self, shape: "Shape", pose: Array) -> tuple[float, float]:
-        """Area [mm^2] and perimeter [mm] of the part that lies inside an indenter at a pose (4, 4)."""
+    def overlap(self, shape: "Shape", pose: Array) -> Overlap:
+        """The overlap with an indenter at a pose (4, 4); one of few points is counted on a grid FINER times as fine."""
         placed, (numbers, middle, radius) = Pose.of(pose), self._blocks
         near = numbers[shape.value(placed.local(middle)) < MAX_SLOPE * radius].ravel()
+        gap = shape.value(placed.local(self.points[near]))
         hit = np.zeros(self.shape, bool)
-        hit.flat[near] = self.inside[near] & (shape.value(placed.local(self.points[near])) < 0)
-        # Crofton's formula: crossings along two directions, times pi / 4
-        crossings = np.count_nonzero(hit[1:] != hit[:-1]) + np.count_nonzero(hit[:, 1:] != hit[:, :-1])
-        return np.count_nonzero(hit) * self.step**2, crossings * self.step * math.pi / 4
+        hit.flat[near] = self.inside[near] & (gap < 0)
+        # a point of the finer grid is less than a step away from one of this
+        near = near[gap < MAX_SLOPE * self.step] if np.count_nonzero(hit) < FEW else near[:0]
+        return self._finely(shape, placed, near) if len(near) else _measured(hit, self.step)
+
+    def _finely(self, shape: "Shape", placed: Pose, near: Array) -> Overlap:
+        """The overlap around the points with numbers `near`."""
+        low, high, step = self.points[near].min(0), self.points[near].max(0), self.step / FINER
+        x, y = (np.arange(low[k] - self.step, high[k] + self.step + step / 2, step) for k in (0, 1))
+        at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+        hit = self.gel.contains(*at.T)
+        at = at[hit]
+        hit[hit] = shape.value(placed.local(np.column_stack([at, self.gel.top(*at.T)]))) < 0
+        return _measured(hit.reshape(len(x), len(y)), step)
+
+    def error(self, shape: "Shape", pose: Array, edge: float) -> float:
+        """Expected error of the force [-] of an indenter at a pose (4, 4), see expected_force_error."""
+        contact = self.overlap(shape, pose)
+        return expected_force_error(edge, contact, self.radius(shape, pose) if contact.area else math.inf)
+
+    def radius(self, shape: "Shape", pose: Array) -> float:
+        """Smallest radius of curvature [mm] of an indenter where it lies below the untouched face."""
+        if (convex := shape.convex) is None:
+            return shape.smallest_radius
+
+        def below(points: Array) -> Array:
+            x, y, z = (points @ pose[:3, :3].T + pose[:3, 3]).T
+            inside = self.gel.contains(x, y)
+            inside[inside] = z[inside] < self.gel.top(x[inside], y[inside])
+            return inside
+
+        return convex.smallest(below)
 
     @cached_property
     def _blocks(self) -> tuple[Array, Array, Array]:
@@ -77,7 +133,63 @@ class FaceGrid:
         middle = points.mean(1)
         return number, middle, np.linalg.norm(points - middle[:, None], axis=-1).max(1)
 
-    def width(self, shape: "Shape", pose: Array) -> float:
-        """Twice the area over the perimeter of the overlap [mm]; nan if there is none."""
-        area, perimeter = self.overlap(shape, pose)
-        return 2 * area / perimeter if perimeter else math.nan
+
+def _measured(hit: Array, step: float) -> Overlap:
+    """Area and perimeter of the cells (x, y) of a grid that are hit; by Crofton's formula, crossings along two
+    directions times pi / 4."""
+    crossings = np.count_nonzero(hit[1:] != hit[:-1]) + np.count_nonzero(hit[:, 1:] != hit[:, :-1])
+    return Overlap(np.count_nonzero(hit) * step**2, crossings * step * math.pi / 4)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """The expected error of the force [-] in that frame of a scene whose contact is widest, by an element `edge` [mm]
+    and the indenter's smallest radius in contact [mm]."""
+
+    error: float
+    edge: float
+    contact: Overlap
+    radius: float
+
+    @classmethod
+    def of(cls, scene: "Scene") -> "Expected | None":
+        """None where it is not known: without contact, between meshes, and for linear tetrahedra."""
+        if scene.surface is not None or scene.element == "linear_tet":
+            return None
+        contact, pose = max(contacts(scene), key=lambda each: each[0].area)
+        if not contact.perimeter:
+            return None
+        radius = FaceGrid.of(scene.gel).radius(scene.shape, pose)
+        return cls(expected_force_error(scene.edge, contact, radius), scene.edge, contact, radius)
+
+    def note(self) -> str:
+        """A line on the error, as `validate` and the bundle tell it."""
+        sharp = f", where the indenter has a radius of {self.radius:.2g} mm" if self.radius < self.edge else ""
+        return (
+            f"expected error of the force by the mesh: about {_rounded(100 * self.error)} %, within a factor of"
+            f" {FACTOR} (edges of {self.edge:g} mm, a contact {self.contact.width:.2g} mm wide{sharp}); more where the"
+            " contact is narrower"
+        )
+
+    def refuse(self) -> None:
+        """Raise UserError if no frame can be right."""
+        if self.error <= LARGEST:
+            return
+        fine = self.edge
+        while expected_force_error(fine, self.contact, self.radius) > LARGEST / 2:
+            fine *= 0.9
+        raise UserError(
+            f"quality: edges of {self.edge:g} mm are too long for a contact {self.contact.width:.2g} mm wide: forces"
+            f" would be about {_rounded(100 * self.error)} % off; ask for quality: {{edge_mm: {fine:.2g}}}"
+        )
+
+
+def contacts(scene: "Scene") -> "list[tuple[Overlap, Array]]":
+    """The overlap in LOOKED_AT frames of a scene at the most, the last among them, and their poses (4, 4)."""
+    face, some = FaceGrid.of(scene.gel), scene.poses[:: -(-len(scene.poses) // LOOKED_AT)]
+    return [(face.overlap(scene.shape, pose), pose) for pose in (*some, scene.poses[-1])]
+
+
+def _rounded(percent: float) -> str:
+    """To one digit, without an exponent."""
+    return f"{float(f'{percent:.1g}'):g}"

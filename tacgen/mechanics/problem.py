@@ -13,7 +13,7 @@ from tacgen.fem.elements import elements
 from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.viscoelasticity import Viscoelastic
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import linear_solvers
+from tacgen.mechanics import expected_error, linear_solvers
 from tacgen.mechanics.barrier import AnyContact, Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import GelMesh
@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 Array = np.ndarray
 USUAL_GAP = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
 FORCE_FLOOR = 1e-3  # smallest force scale over kappa dhat^2: forces that occur within the tolerances [-]
-# Contact points along a facet's side, under an indenter thinner than that side: it would pass between two where
-# friction stretches the gel to twice its length. Elsewhere two: three stiffen a coarse mesh (by 1 % for a ball).
-POINTS_IF_THIN = 3
+# Contact points along a facet's side. Two partly cancel the stiffness of a coarse mesh: three make a ball 1 % and a
+# flat punch 3 % stiffer. More under an indenter thinner than that side, since friction stretches the gel to twice its
+# length, and where contact is narrower than the side and sharper than the mesh, since a tip passes between two points.
+POINTS, POINTS_IF_THIN, POINTS_IF_NARROW = 2, 3, 4
 NO_MATRIX = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)
 
 
@@ -164,9 +165,17 @@ def _contact(scene: Scene, mesh: GelMesh, pat: Pattern) -> AnyContact:
 
 def by_distance(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:
     """Contact by signed distance; without a pattern, tangents of the contact cannot be added to a sparse matrix."""
-    along = POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else 2
-    faces = Faces.on(pat, mesh.points, mesh.facets["coated"], along)
+    faces = Faces.on(pat, mesh.points, mesh.facets["coated"], points_along(scene))
     return Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, _kappa(scene))
+
+
+def points_along(scene: Scene) -> int:
+    """Number of contact points along a facet's side."""
+    if scene.shape.smallest_radius < scene.edge:
+        widths = [contact.width for contact, _ in expected_error.contacts(scene) if contact.area]
+        if widths and max(widths) < scene.edge:
+            return POINTS_IF_NARROW
+    return POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else POINTS
 
 
 def _kappa(scene: Scene) -> float:

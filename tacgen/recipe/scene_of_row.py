@@ -23,7 +23,10 @@ from tacgen.sensor.model import Sensor
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3
 MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
-SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]; edges are rounded by about two cells
+SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]
+OPENED = (
+    0.75  # radius of a mesh's sharp edges over dhat [-]: the mean gap of a light press, by which contact shrinks it
+)
 
 
 def _reach_of_gel(row: Row) -> tuple[float, float]:
@@ -52,7 +55,7 @@ def shape_of(row: Row) -> Shape:
     (half, height), quality = _reach_of_gel(row), row.recipe.resolved()
     edge, dhat = quality.edge_mm, quality.dhat_mm
     solid = _solid(indenter, row)
-    grid = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
+    grid = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half, radius=OPENED * dhat)
     if row.recipe.contact.formulation == "distance":
         mesh_import.refuse_thin_walls(solid, grid.cell, height, edge)
         if grid.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press

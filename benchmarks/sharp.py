@@ -1,0 +1,218 @@
+"""Objects with sharp edges and tips: forces of meshes against a finer mesh and the analytic shape, and the error told."""
+
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.reference_runs import row_of, solve_frames
+from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
+from tacgen import mechanics
+from tacgen.errors import UserError
+from tacgen.mechanics import mesh
+from tacgen.mechanics.expected_error import FACTOR, Expected
+from tacgen.recipe import scene_of_row
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = np.ndarray
+QUALITIES = {"draft": "draft", "default": "default", "half": "{edge_mm: 0.18, dhat_mm: 0.02}"}
+TIP = 0.05  # radius of the analytic wedge and cone [mm]
+LIMIT_S = 300.0  # longest solve [s]
+ABOUT = (
+    "Closed meshes with sharp edges and tips, pressed in two frames into a GelSight Mini with friction 0.6: the force at"
+    " `draft` and `default` against edges of 0.18 mm, half of the default's, and the expected error that validate, the"
+    " bundle and its picture tell. `analytic` is the same wedge or cone with a tip of 0.05 mm, on the finest mesh; it"
+    " reaches deeper than the sharp one by the rounding's part of its tip. Refused: the expected error is above 50 %."
+)
+HEADS = columns(
+    "case", "depth [mm]: .2f", "quality", "force [N]: .4f", "error: +.1%", "expected: .1%", "within its factor",
+    "iterations: d", "s a frame: .2f", "analytic [N]: .4f",
+)  # fmt: skip
+
+
+def hull(points: Array) -> "trimesh.Trimesh":
+    """The convex hull of points (n, 3)."""
+    import trimesh
+
+    return trimesh.convex.convex_hull(points)
+
+
+def wedge(half_angle_deg: float, length: float = 8.0, height: float = 6.0) -> "trimesh.Trimesh":
+    """A wedge whose sharp edge lies along y."""
+    aside = height * math.tan(math.radians(half_angle_deg))
+    return hull(
+        np.array([(x, y, z) for y in (-length / 2, length / 2) for x, z in ((0, 0), (aside, height), (-aside, height))])
+    )
+
+
+def cone(half_angle_deg: float, height: float = 8.0, sides: int = 64) -> "trimesh.Trimesh":
+    """A cone with a sharp tip."""
+    turn, radius = np.linspace(0, 2 * np.pi, sides, endpoint=False), height * math.tan(math.radians(half_angle_deg))
+    rim = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(sides, height)])
+    return hull(np.vstack([np.zeros((1, 3)), rim]))
+
+
+def block(size: tuple[float, float, float], lowest: tuple[float, float, float]) -> "trimesh.Trimesh":
+    """A block that stands on its edge or corner in the direction `lowest`."""
+    import trimesh
+
+    body = trimesh.creation.box(size)
+    body.apply_transform(trimesh.geometry.align_vectors(np.array(lowest) / np.linalg.norm(lowest), [0, 0, -1]))
+    return body
+
+
+def prism(outline: Array, bore: Array, height: float) -> "trimesh.Trimesh":
+    """A prism along z with an outline (n, 2) and a bore (n, 2) or, of a bore of no points, none."""
+    import trimesh
+
+    n = len(outline)
+    low, high = (np.column_stack([outline, np.full(n, z)]) for z in (0.0, height))
+    if not len(bore):
+        return hull(np.vstack([low, high]))
+    rings = [low, high, *(np.column_stack([bore, np.full(n, z)]) for z in (height, 0.0))]
+    k, following = np.arange(n), np.roll(np.arange(n), -1)
+    faces = []
+    for a in range(4):
+        b = (a + 1) % 4
+        faces += [np.stack([a * n + k, a * n + following, b * n + following], 1)]
+        faces += [np.stack([a * n + k, b * n + following, b * n + k], 1)]
+    return trimesh.Trimesh(np.vstack(rings), np.concatenate(faces))
+
+
+def hexagon(across: float, n: int) -> Array:
+    """Points (n, 2) at equal angles on a hexagon of this width across its flats; n a multiple of 6."""
+    turn = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    reach = across / 2 / np.cos((turn + np.pi / 6) % (np.pi / 3) - np.pi / 6)
+    return np.column_stack([np.cos(turn), np.sin(turn)]) * reach[:, None]
+
+
+def nut() -> "trimesh.Trimesh":
+    """An M6 nut: 10 mm across its flats, 5 mm high, with a bore of 5 mm."""
+    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    return prism(hexagon(10.0, 48), 2.5 * np.column_stack([np.cos(turn), np.sin(turn)]), 5.0)
+
+
+def allen_key() -> "trimesh.Trimesh":
+    """The long arm of a 3 mm Allen key, lying on an edge."""
+    body = prism(hexagon(3.0, 6), np.zeros((0, 2)), 16.0)
+    body.apply_transform(np.array([[0, 0, 1, -8], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]], float))
+    return body
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mesh, or the name of a shipped object, pressed by `depth` [mm]; `analytic`: the same shape with a round tip."""
+
+    name: str
+    depth: float
+    made: "Callable[[], trimesh.Trimesh] | str"
+    analytic: str = ""
+
+
+def _tip(shape: str, half_angle: float, more: str = "") -> str:
+    return f"{{shape: {shape}, half_angle_deg: {half_angle}, tip_radius_mm: {TIP}{more}}}"
+
+
+CASES = (
+    Case("wedge 15 deg", 0.6, lambda: wedge(15), _tip("wedge", 15, ", length_mm: 8")),
+    Case("wedge 30 deg", 0.6, lambda: wedge(30), _tip("wedge", 30, ", length_mm: 8")),
+    Case("cone 11.3 deg", 1.5, lambda: cone(11.3), _tip("cone", 11.3)),
+    Case("cone 11.3 deg", 0.6, lambda: cone(11.3), _tip("cone", 11.3)),
+    Case("cone 30 deg", 1.0, lambda: cone(30), _tip("cone", 30)),
+    Case("block on its edge", 0.6, lambda: block((6, 4, 3), (1, 0, 1))),
+    Case("block on its corner", 0.6, lambda: block((4, 4, 4), (1, 1, 1))),
+    Case("block on its corner", 1.0, lambda: block((4, 4, 4), (1, 1, 1))),
+    Case("nut", 0.4, nut),
+    Case("Allen key", 0.5, allen_key),
+    *(Case(name, 0.4, name) for name in ("key", "letters", "gear", "hex_bolt", "ring")),
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Of a scene: force on the gel [N], nan if it is not solved; expected error [-]; Newton iterations; seconds a frame;
+    why it is refused or rejected."""
+
+    force: float = math.nan
+    expected: float = math.nan
+    iterations: int = 0
+    seconds: float = 0.0
+    reason: str = ""
+
+
+def solved(indenter: str, depth: float, quality: str) -> Found:
+    """A press by `depth` [mm] in two frames."""
+    sets = (
+        "outputs=[force]", f"indenter={indenter}", f"trajectory=[{{press: {{depth_mm: {depth}, frames: 2}}}}]",
+        f"quality={quality}",
+    )  # fmt: skip
+    error = math.nan
+    try:
+        scene = scene_of_row.build(row_of(sets))
+        if expected := Expected.of(scene):
+            error = expected.error
+            expected.refuse()
+        start = time.process_time()
+        run = solve_frames(scene, mechanics.Problem.of(scene, mesh.of(scene)), LIMIT_S)
+    except UserError as refused:
+        return Found(expected=error, reason=f"refused: {refused.lines[0]}")
+    if len(run.states) < 2:
+        return Found(expected=error, reason=run.status)
+    steps = sum(state.iterations for state in run.states)
+    return Found(float(-run.forces[-1, 2]), error, steps, (time.process_time() - start) / 2)
+
+
+def measure(case: Case, quality: str, analytic: bool) -> Found:
+    """A case at one of QUALITIES, or its analytic twin."""
+    if analytic:
+        return solved(case.analytic, case.depth, QUALITIES[quality]) if case.analytic else Found()
+    if isinstance(case.made, str):
+        return solved(f"{{shape: mesh, file: {case.made}}}", case.depth, QUALITIES[quality])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sharp.stl"
+        case.made().export(path)
+        return solved(f"{{shape: mesh, file: {path}}}", case.depth, QUALITIES[quality])
+
+
+def rows(case: Case, found: dict[str, Found], analytic: float) -> list[list[Cell]]:
+    """The rows of a case, by quality."""
+    reference, out = found["half"].force, []
+    for quality, one in found.items():
+        error = one.force / reference - 1
+        within = one.reason[:60] or ("" if quality == "half" else "yes" if abs(error) < FACTOR * one.expected else "no")
+        out.append([
+            case.name, case.depth, quality, one.force, error, one.expected, within, one.iterations, one.seconds, analytic,
+        ])  # fmt: skip
+    return out
+
+
+def bench(level: Level, say: Say) -> Result:
+    """The sharp table."""
+    cases = CASES[:2] if level == "smoke" else CASES
+    asked = [
+        (k, quality, analytic)
+        for k, (quality, analytic) in product(range(len(cases)), [(q, False) for q in QUALITIES] + [("half", True)])
+    ]
+    with cores(level) as every:
+        answers = list(every(_one, asked))
+    table: list[list[Cell]] = []
+    for k, case in enumerate(cases):
+        of = {
+            (quality, analytic): answer for (n, quality, analytic), answer in zip(asked, answers, strict=True) if n == k
+        }
+        table += rows(case, {quality: of[quality, False] for quality in QUALITIES}, of["half", True].force)
+        say(f"{case.name}: " + ", ".join(f"{row[2]} {row[4]:+.1%} ({row[5]:.1%})" for row in table[-3:]))
+    return Result(ABOUT, [Table("Sharp edges and tips", HEADS, table)])
+
+
+def _one(asked: tuple[int, str, bool]) -> Found:
+    number, quality, analytic = asked
+    return measure(CASES[number], quality, analytic)
