@@ -31,3 +31,18 @@ def truncated_cone(facets: int = 180, low: float = 5.0, high: float = 3.0, heigh
     sides = [np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])]
     ends = [np.column_stack([0 * k, k + 1, k]), np.column_stack([0 * k, k, k + 1]) + n]
     return trimesh.Trimesh(turned.astype(np.float32), np.concatenate([*sides, *ends]), process=False)
+
+
+def cells(*corners: tuple[int, int, int], walls: bool = False) -> trimesh.Trimesh:
+    """Unit cubes with their lowest corners here; faces between two of them are there twice if `walls`, else not."""
+    points: list[np.ndarray] = []
+    for corner in corners:
+        for axis, side in np.ndindex(3, 2):
+            across = np.eye(3, dtype=int)[axis] * (2 * side - 1)
+            if not walls and tuple(corner + across) in corners:
+                continue
+            u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+            low = corner + np.eye(3)[axis] * side
+            one, two = (low, low + u, low + u + v), (low, low + u + v, low + v)
+            points += [*one, *two] if side else [*one[::-1], *two[::-1]]
+    return trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3), process=False)
