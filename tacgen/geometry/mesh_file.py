@@ -105,10 +105,10 @@ def _repairs(vertices: Array, faces: Array) -> Iterator[tuple[Array, Array]]:
     yield vertices, _once(faces)
     faces = _united(faces)
     yield vertices, faces
-    area, welded = _areas(vertices, faces).sum(), _welded(vertices, faces)
-    holes_closed = _filled(vertices, faces)
+    area, holes_closed = _areas(vertices, faces).sum(), _filled(vertices, faces)
     if _areas(*holes_closed).sum() >= (1 - MAX_NEW_AREA) * area:
         yield holes_closed
+    welded = _welded(vertices, faces)
     for repaired in chain([_filled(vertices, welded)], _mended(vertices, welded)):
         if abs(_areas(*repaired).sum() - area) <= MAX_NEW_AREA * area:
             yield repaired
@@ -130,8 +130,8 @@ def _united(faces: Array) -> Array:
 def _cancelled(faces: Array) -> Array:
     """Faces without pairs of the same corners that look opposite ways; others once."""
     _, first, group = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_inverse=True)
-    turned = np.roll(np.arange(3), -1)[None] + faces.argmin(1)[:, None]  # the corners after the smallest
-    even = np.take_along_axis(faces, turned[:, :2] % 3, 1) @ [-1, 1] > 0
+    others = (faces.argmin(1)[:, None] + [1, 2]) % 3  # the corners after that of the smallest number
+    even = np.diff(np.take_along_axis(faces, others, 1))[:, 0] > 0
     net = np.bincount(group.ravel(), np.where(even, 1, -1))
     flip = (net < 0) == even[first]
     kept = np.where(flip[:, None], faces[first][:, ::-1], faces[first])[net != 0]
