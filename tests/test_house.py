@@ -88,7 +88,7 @@ HOMES = {
     "pymetis": {"mechanics.linear_solvers"},
     "ruamel": {"sensor.yaml_source"},
     "trimesh": {"geometry.mesh_file", "geometry.mesh_import"},
-    "igl": {"geometry.mesh_import"},
+    "igl": {"geometry.mesh_file", "geometry.mesh_import"},
     "pymeshlab": {"geometry.mesh_file"},
     "pytetwild": {"mechanics.ftetwild"},
     "ipctk": {"mechanics.ipctk"},

@@ -3,7 +3,9 @@
 import importlib.util
 import io
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +22,7 @@ MAX_FILE = 256 * 2**20  # largest mesh file [bytes]
 MAX_HEAD = 100_000  # largest header of a PLY file [bytes]
 MAX_TRIANGLES = 2_000_000
 MIN_SIZE, MAX_SIZE = 1e-9, 1e9  # longest side of a body, in units of its file
-MIN_TRIANGLES = 4  # of a closed body: a tetrahedron
+MIN_THICKNESS = 1e-6  # volume of a body over its surface's area and the mesh's size; single precision keeps 1e-7 [-]
 MAX_CRACK = 1e-4  # largest width of a crack that is closed, over the diagonal of the bounding box [-]
 MAX_HOLE = 40  # most edges around a hole that is closed
 MAX_NEW_AREA = 0.02  # largest relative change of the surface's area by repair [-]
@@ -37,7 +39,8 @@ class SolidMesh:
 
 
 def read(path: Path) -> SolidMesh:
-    """The mesh in an STL, OBJ or PLY file, repaired where the repair is unambiguous.
+    """The mesh in an STL, OBJ or PLY file, repaired where the repair is unambiguous; bodies that share triangles are
+    united there, and cavities filled.
 
     Raises:
         UserError: not a mesh, empty, too big, with open edges, or without volume.
@@ -53,26 +56,16 @@ def read(path: Path) -> SolidMesh:
         raise UserError(f"{path}: holds vertices that are not numbers")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise UserError(f"{path}: has triangles between vertices that are not there")
-    if not MIN_SIZE < mesh.extents.max() < MAX_SIZE:
-        raise UserError(f"{path}: is {mesh.extents.max():.3g} of its units long: no body is")
-    unclosed = _clean(mesh).copy()
-    if not len(unclosed.faces):
+    if not MIN_SIZE < (size := mesh.extents.max()) < MAX_SIZE:
+        raise UserError(f"{path}: is {size:.3g} of its units long: no body is")
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    v, faces = np.asarray(mesh.vertices, float), _without_points(np.asarray(mesh.faces, np.int64))
+    if not len(faces):
         raise UserError(f"{path}: encloses no volume")
-    bad = _edges_not_shared_by_two(_close(mesh))
-    if bad or len(mesh.split(only_watertight=False)[0].faces) < MIN_TRIANGLES:  # trimesh duplicates a single triangle
-        mesh = _repaired(unclosed)
-        bad = _edges_not_shared_by_two(mesh)
-    if bad:
-        hint = "" if importlib.util.find_spec("pymeshlab") else ", or try pip install 'tacgen[repair]'"
-        raise UserError(f"{path}: is not closed: {bad}; close it in a mesh editor first{hint}")
-    bodies = [body for body in mesh.split(only_watertight=False) if len(body.faces) >= MIN_TRIANGLES]
-    volume = sum(abs(float(body.volume)) for body in bodies)
-    if not mesh.is_winding_consistent or volume < 1e-6 * float(mesh.extents.max()) ** 3:
-        raise UserError(f"{path}: encloses no volume")
-    for body in bodies:  # an enclosed cavity touches nothing, so it is filled
-        if body.volume < 0:
-            body.invert()
-    return _joined(str(path), [(np.asarray(b.vertices, float), np.asarray(b.faces)) for b in bodies])
+    for vertices, tried in _repairs(v, faces):
+        if (found := _bodies(tried)) is not None:
+            return _outward(str(path), vertices, *found, size)
+    raise UserError(f"{path}: {_fault(v, _once(faces))}")
 
 
 def _loaded(path: Path) -> "trimesh.Trimesh":
@@ -96,37 +89,85 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
         ) from None
 
 
-def _clean(mesh: Any) -> Any:
-    """Merge equal vertices, remove degenerate and duplicate triangles."""
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    mesh.update_faces(mesh.nondegenerate_faces())
-    mesh.update_faces(mesh.unique_faces())
-    mesh.remove_unreferenced_vertices()
-    return mesh
+def _without_points(faces: Array) -> Array:
+    """The faces (m, 3) with three different corners."""
+    return faces[(np.diff(np.sort(faces, 1), axis=1) > 0).all(1)]
 
 
-def _close(mesh: Any) -> Any:
-    """Close holes of three or four edges and make the orientation consistent."""
-    from trimesh import repair
-
-    if not mesh.is_watertight:
-        repair.fill_holes(mesh)
-    if not mesh.is_winding_consistent:
-        repair.fix_winding(mesh)  # type: ignore[no-untyped-call]
-    return mesh
+def _areas(vertices: Array, faces: Array) -> Array:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
 
-def _repaired(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """The mesh repaired by MeshLab: cracks and small holes closed, non-manifold triangles removed. Unchanged if MeshLab
-    is not installed, fails, or changes the surface's area too much."""
+def _repairs(vertices: Array, faces: Array) -> Iterator[tuple[Array, Array]]:
+    """Vertices and faces after ever stronger repairs: each face once; without faces between bodies that touch; small
+    holes closed; cracks too; by MeshLab."""
+    yield vertices, _once(faces)
+    faces = _united(faces)
+    yield vertices, faces
+    area, holes_closed = _areas(vertices, faces).sum(), _filled(vertices, faces)
+    if _areas(*holes_closed).sum() >= (1 - MAX_NEW_AREA) * area:
+        yield holes_closed
+    welded = _welded(vertices, faces)
+    for repaired in chain([_filled(vertices, welded)], _mended(vertices, welded)):
+        if abs(_areas(*repaired).sum() - area) <= MAX_NEW_AREA * area:
+            yield repaired
+
+
+def _once(faces: Array) -> Array:
+    """The faces, each once."""
+    return faces[np.sort(np.unique(np.sort(faces, 1), axis=0, return_index=True)[1])]
+
+
+def _united(faces: Array) -> Array:
+    """The faces without those between bodies that touch; all of them, once, if a sheet of two sides would be lost."""
+    once, kept = _once(faces), _cancelled(faces)
+    _, edge, _ = _sides(np.concatenate([once, kept]))
+    before, after = (np.bincount(part, minlength=edge.max() + 1) for part in np.split(edge, [once.size]))
+    return once if ((before == 1) & (after == 0)).any() else kept
+
+
+def _cancelled(faces: Array) -> Array:
+    """Faces without pairs of the same corners that look opposite ways; others once."""
+    _, first, group = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_inverse=True)
+    others = (faces.argmin(1)[:, None] + [1, 2]) % 3  # the corners after that of the smallest number
+    even = np.diff(np.take_along_axis(faces, others, 1))[:, 0] > 0
+    net = np.bincount(group.ravel(), np.where(even, 1, -1))
+    flip = (net < 0) == even[first]
+    kept = np.where(flip[:, None], faces[first][:, ::-1], faces[first])[net != 0]
+    return np.asarray(kept[np.argsort(first[net != 0])])
+
+
+def _filled(vertices: Array, faces: Array) -> tuple[Array, Array]:
+    """Vertices and faces with holes of three or four edges closed; a lone triangle is gone with its own closing."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    trimesh.repair.fill_holes(mesh)
+    return np.asarray(mesh.vertices, float), _cancelled(np.asarray(mesh.faces, np.int64))
+
+
+def _welded(vertices: Array, faces: Array) -> Array:
+    """The faces after merging vertices closer than MAX_CRACK; MeshLab's own filter misses many."""
+    from scipy.spatial import cKDTree
+
+    reach = MAX_CRACK * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    i, j = cKDTree(vertices).query_pairs(reach, output_type="ndarray").T
+    group = _connected(i, j, len(vertices))
+    _, first = np.unique(group, return_index=True)
+    return _without_points(first[group[faces]])
+
+
+def _mended(vertices: Array, faces: Array) -> Iterator[tuple[Array, Array]]:
+    """Vertices and faces with cracks and holes closed and non-manifold triangles removed by MeshLab; nothing where it
+    is not installed or fails."""
     try:
         import pymeshlab
     except ImportError:  # an extra: tacgen[repair]
-        return mesh
-    import trimesh
+        return
 
     work = pymeshlab.MeshSet(verbose=False)
-    work.add_mesh(pymeshlab.Mesh(mesh.vertices, _welded(mesh)))
+    work.add_mesh(pymeshlab.Mesh(vertices, faces))
     try:
         work.meshing_remove_null_faces()
         work.meshing_remove_duplicate_faces()
@@ -134,35 +175,88 @@ def _repaired(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
         work.meshing_repair_non_manifold_vertices()
         work.meshing_close_holes(maxholesize=MAX_HOLE, selfintersection=False)
     except pymeshlab.PyMeshLabException:
-        return mesh
+        return
     mended = work.current_mesh()
-    repaired = _close(_clean(trimesh.Trimesh(mended.vertex_matrix(), mended.face_matrix(), process=False)))
-    return repaired if abs(repaired.area - mesh.area) <= MAX_NEW_AREA * mesh.area else mesh
+    yield _filled(mended.vertex_matrix(), _without_points(np.asarray(mended.face_matrix(), np.int64)))
 
 
-def _welded(mesh: "trimesh.Trimesh") -> Array:
-    """The faces after merging vertices closer than MAX_CRACK; MeshLab's own filter misses many."""
+def _connected(i: Array, j: Array, n: int) -> Array:
+    """Number of each of n nodes' connected component, where nodes i and j are connected."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
 
-    n = len(mesh.vertices)
-    reach = MAX_CRACK * float(np.linalg.norm(mesh.extents))
-    i, j = cKDTree(mesh.vertices).query_pairs(reach, output_type="ndarray").T
-    _, group = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
-    _, first = np.unique(group, return_index=True)
-    faces = first[group[mesh.faces]]
-    return np.asarray(faces[(np.diff(np.sort(faces, 1), axis=1) > 0).all(1)])
+    return np.asarray(connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)[1])
 
 
-def _edges_not_shared_by_two(mesh: "trimesh.Trimesh") -> str:
-    _, shared = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    counts = []
-    if (shared == 1).any():
-        counts.append(f"{int((shared == 1).sum())} open edges")
-    if (shared > 2).any():
-        counts.append(f"{int((shared > 2).sum())} edges between more than two triangles")
-    return ", ".join(counts)
+def _sides(faces: Array) -> tuple[Array, Array, Array]:
+    """Edges (e, 2) and, for all sides of all faces (3 m,), from each corner to the next: the edge, and whether the side
+    runs along it (1) or against it (-1)."""
+    a, b = faces.ravel(), np.roll(faces, -1, 1).ravel()
+    n = faces.max() + 1
+    keys, edge = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
+    return np.stack([keys // n, keys % n], 1), edge, np.where(a < b, 1, -1)
+
+
+def _bodies(faces: Array) -> tuple[Array, Array] | None:
+    """Faces (m, 3) wound alike and the number of each one's body (m,); None if they are not closed.
+
+    A surface is closed if as many faces run along each edge one way as the other. Four faces at an edge are two bodies
+    that touch, or one that touches itself: a body is what hangs together at edges of two faces, and is closed.
+    """
+    import igl
+
+    if not len(faces):
+        return None
+    edges, edge, way = _sides(faces)
+    if np.bincount(edge, way).any():
+        faces = igl.bfs_orient(faces)[0]
+        edges, edge, way = _sides(faces)
+        if np.bincount(edge, way).any():
+            return None
+    m = len(faces)
+    face, two = np.repeat(np.arange(m), 3), np.bincount(edge)[edge] == 2
+    patch = _connected(face[two], m + edge[two], m + len(edges))[face]
+    _, at, rim = np.unique(edge * m + patch, return_index=True, return_inverse=True)
+    at = at[np.bincount(rim, way) != 0]  # sides at which a patch is open: it is closed by others there
+    body = _connected(patch[at], m + edge[at], m + len(edges))[patch[::3]]
+    return faces, np.unique(body, return_inverse=True)[1]
+
+
+def _outward(name: str, vertices: Array, faces: Array, body: Array, size: float) -> SolidMesh:
+    """The bodies that enclose a volume, wound outward; an enclosed cavity touches nothing, so it is filled.
+
+    Raises:
+        UserError: some of the surface encloses no volume.
+    """
+    area, corners = _areas(vertices, faces), vertices[faces] - vertices[faces[0, 0]]
+    volume = np.bincount(body, np.linalg.det(corners) / 6)
+    flat = np.abs(volume) < MIN_THICKNESS * size * np.bincount(body, area)
+    if area[flat[body]].sum() > MAX_NEW_AREA * area.sum():
+        where = _place(vertices[faces[flat[body]][0]])
+        raise UserError(f"{name}: {'' if flat.all() else f'has a part, {where}, that '}encloses no volume")
+    faces = np.where(volume[body, None] < 0, faces[:, ::-1], faces)
+    parts = []
+    for part in np.split(faces[np.argsort(body, kind="stable")], np.cumsum(np.bincount(body))[:-1]):
+        used, renamed = np.unique(part, return_inverse=True)
+        parts.append((vertices[used], renamed.reshape(-1, 3)))
+    return _joined(name, [part for part, no in zip(parts, flat, strict=True) if not no])
+
+
+def _fault(vertices: Array, faces: Array) -> str:
+    """Why faces are not closed, and the place of an edge to blame."""
+    edges, edge, _ = _sides(faces)
+    shared = np.bincount(edge)
+    faults = ("open edge", "", shared == 1), ("edge", " between 3 or more triangles", (shared > 2) & (shared % 2 == 1))
+    counts = [f"{n} {what}{'s' * (n > 1)}{of}" for what, of, which in faults if (n := int(which.sum()))]
+    if not counts:
+        return "its triangles face to both sides; make their normals consistent in a mesh editor first"
+    hint = "" if importlib.util.find_spec("pymeshlab") else ", or try pip install 'tacgen[repair]'"
+    where = _place(vertices[edges[np.flatnonzero(shared % 2)[0]]])
+    return f"is not closed: {', '.join(counts)}, one of them {where}; close it in a mesh editor first{hint}"
+
+
+def _place(points: Array) -> str:
+    return "near x {:.4g}, y {:.4g}, z {:.4g} of the file".format(*points.mean(0))
 
 
 def _joined(name: str, parts: list[tuple[Array, Array]]) -> SolidMesh:

@@ -1,7 +1,8 @@
 """A solid of triangles: placing it, and its signed distance on a grid.
 
-libigl gives the exact distance to triangles, signed by angle-weighted pseudonormals (Baerentzen & Aanaes 2005). For
-144 000 points and 20 480 triangles libigl takes 1.4 s, trimesh with rtree 190 s; they agree to 6e-14 mm.
+libigl gives the exact distance to triangles, and as its sign the winding number of the surface around a point (Jacobson
+et al. 2013), expanded with an error below .01 (Barill et al. 2018). Pseudonormals have wrong signs beside slivers. For
+147 000 points and 20 480 triangles it takes .9 s, trimesh with rtree 190 s.
 """
 
 from functools import cache
@@ -17,7 +18,7 @@ from tacgen.geometry.mesh_file import SolidMesh, read
 from tacgen.geometry.sdf_grid import Field
 
 Array = np.ndarray
-CACHE_VERSION = 2  # of the grids and walls in the cache
+CACHE_VERSION = 3  # of the grids and walls in the cache
 MAX_NODES = 8_000_000  # of a distance grid: 64 MB of spline
 MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no farther away
 FINER = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of the edge that are tried for walls too thin for it [-]
@@ -59,15 +60,29 @@ def placement(solid: SolidMesh, *, up: str = "+z", scale: float = 1.0, size: flo
 
 
 def signed_distance(solid: SolidMesh, points: Array) -> Array:
-    """Signed distance (n,) [mm] of points (n, 3) from a solid, negative inside; of several bodies the smallest."""
+    """Signed distance (n,) [mm] of points (n, 3) from a placed solid, negative inside; of several bodies the smallest.
+
+    Raises:
+        UserError: a body's surface winds around one of the points other than 0 or 1 times: some of it lies inside.
+    """
     import igl
 
-    sign = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
-    out = np.full(len(points), np.inf)
+    out, points = np.full(len(points), np.inf), np.ascontiguousarray(points, float)
+    step, start = np.linalg.norm(np.diff(points, axis=0), axis=1), np.ones(len(points), bool)
     for number in range(int(solid.body.max()) + 1):
         used, renamed = np.unique(solid.triangles[solid.body == number], return_inverse=True)
         vertices, faces = np.ascontiguousarray(solid.vertices[used]), renamed.reshape(-1, 3)
-        out = np.minimum(out, igl.signed_distance(np.ascontiguousarray(points), vertices, faces, sign_type=sign)[0])
+        distance = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
+        # neighbours closer together than one of them is to the surface lie on one side of it: asked once for each row
+        start[1:] = step > 0.9 * np.maximum(distance[1:], distance[:-1])
+        turns = igl.fast_winding_number(vertices, faces, points[start])
+        if len(wrong := np.flatnonzero(np.abs(turns - 0.5) > 1)):
+            x, y, z = points[start][wrong[0]]
+            raise UserError(
+                f"{solid.name}: its surface cuts through itself {z:.3g} mm above its lowest point, at x {x:.3g} and"
+                f" y {y:.3g} mm from its middle; unite its parts in a mesh editor first"
+            )
+        out = np.minimum(out, np.where(turns > 0.5, -1, 1)[np.cumsum(start) - 1] * distance)
     return out
 
 
@@ -148,29 +163,13 @@ def _thin_share(solid: SolidMesh, thickness: float, height: float) -> float:
 
 
 def _distances(solid: SolidMesh, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:
-    """Signed distance (i, j, k) [mm] in single precision, slab by slab; of several bodies the smallest.
-
-    Raises:
-        UserError: a surface that cuts through itself.
-    """
-    import igl
-
-    sign = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+    """Signed distance (i, j, k) [mm] in single precision, slab by slab."""
     x, y, z = (origin[a] + cell * np.arange(nodes[a]) for a in range(3))
-    out = np.full(nodes, np.inf, dtype=np.float32)
-    bodies = [np.ascontiguousarray(solid.triangles[solid.body == b]) for b in range(int(solid.body.max()) + 1)]
+    out = np.empty(nodes, dtype=np.float32)
     rows = max(1, 200_000 // (nodes[1] * nodes[2]))
-    for triangles in bodies:
-        used, renamed = np.unique(triangles, return_inverse=True)
-        vertices, faces = np.ascontiguousarray(solid.vertices[used]), renamed.reshape(-1, 3)
-        for start in range(0, nodes[0], rows):
-            part = np.stack(np.meshgrid(x[start : start + rows], y, z, indexing="ij"), -1)
-            d = igl.signed_distance(part.reshape(-1, 3), vertices, faces, sign_type=sign)[0]
-            block = out[start : start + rows]
-            np.minimum(block, d.reshape(block.shape).astype(np.float32), out=block)
-    steepest = max(float(np.abs(np.diff(out, axis=a)).max()) for a in range(3))
-    if steepest > 1.01 * cell:  # impossible for a distance: inside and outside are wrong somewhere
-        raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
+    for start in range(0, nodes[0], rows):
+        part = np.stack(np.meshgrid(x[start : start + rows], y, z, indexing="ij"), -1)
+        out[start : start + rows] = signed_distance(solid, part.reshape(-1, 3)).reshape(part.shape[:3])
     return out
 
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from helpers.meshes import ball, box, saved
+from helpers.meshes import ball, box, cells, saved
 from helpers.program import loaded
 
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_file
+from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import assets
 
 
@@ -53,18 +53,132 @@ def holed() -> trimesh.Trimesh:
     return trimesh.Trimesh([*mesh.vertices, outside], [*mesh.faces, flag], process=False)
 
 
-@pytest.mark.parametrize("make", [cracked, holed])
-def test_what_trimesh_cannot_repair_is_repaired_by_meshlab(make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_what_trimesh_cannot_repair_is_repaired_by_meshlab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("pymeshlab")
-    path = saved(make(), tmp_path / "torn.stl")
+    path = saved(holed(), tmp_path / "torn.stl")
     found = mesh_file.read(path)
+    assert_whole(found, ball(3).volume)
+    monkeypatch.setattr(mesh_file, "_mended", lambda *mesh: iter([]))
+    with pytest.raises(UserError, match=r"is not closed: \d+ "):
+        mesh_file.read(path)
+
+
+def test_cracks_are_closed_without_meshlab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(mesh_file, "_mended", lambda *mesh: iter([]))
+    assert_whole(mesh_file.read(saved(cracked(), tmp_path / "torn.stl")), ball(3).volume)
+
+
+def test_a_corner_within_a_neighbours_edge_opens_nothing(tmp_path: Path):
+    whole = box(2, 2, 2)
+    a, b, c = whole.faces[0]
+    corners = [*whole.vertices, whole.vertices[[a, b]].mean(0)]
+    split = trimesh.Trimesh(corners, [[a, 8, c], [8, b, c], *whole.faces[1:]], process=False)
+    assert_whole(mesh_file.read(saved(split, tmp_path / "box.stl")), 8)
+
+
+def assert_whole(found: mesh_file.SolidMesh, volume: float) -> None:
     mended = trimesh.Trimesh(found.vertices, found.triangles, process=False)
     assert mended.is_watertight
     assert mended.is_winding_consistent
-    assert mended.volume == pytest.approx(ball(3).volume, rel=0.01)
-    monkeypatch.setattr(mesh_file, "_repaired", lambda mesh: mesh)
-    with pytest.raises(UserError, match=r"is not closed: \d+ "):
-        mesh_file.read(path)
+    assert mended.volume == pytest.approx(volume, rel=0.01)
+
+
+# -- bodies that touch --
+
+ALL = tuple(np.ndindex(2, 2, 2))
+TOUCHING: dict[str, tuple[Any, bool, int]] = {  # cells, whether with the walls between them, number of bodies
+    "at a corner": ([(0, 0, 0), (1, 1, 1)], False, 2),
+    "at an edge": ([(0, 0, 0), (1, 1, 0)], False, 2),
+    "at a face": ([(0, 0, 0), (1, 0, 0)], True, 1),
+    "at all faces": (ALL, True, 1),
+    "itself at an edge": ([(0, 0, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1)], False, 1),
+}
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("name", TOUCHING)
+def test_bodies_that_touch(name: str, flipped: bool, tmp_path: Path):
+    """Edges of four triangles, and walls that two bodies share: what is a cube is inside, and nothing else is."""
+    cubes, walls, bodies = TOUCHING[name]
+    mesh = cells(*cubes, walls=walls)
+    if flipped and not walls:  # which of two walls is whose is then unknown
+        mesh.faces[::3] = mesh.faces[::3, ::-1]
+    found = mesh_file.read(saved(mesh, tmp_path / "cells.stl"))
+    assert found.body.max() + 1 == bodies
+    assert trimesh.Trimesh(found.vertices, found.triangles, process=False).volume == pytest.approx(len(cubes))
+    around = np.array(list(np.ndindex(4, 4, 4))) - 1
+    inside = [tuple(cube) in set(cubes) for cube in around]
+    distance = mesh_import.signed_distance(found, around + 0.5)
+    assert (distance < 0).tolist() == inside
+    assert np.abs(distance).min() == pytest.approx(0.5)
+    if name == "at all faces":
+        assert mesh_import.signed_distance(found, np.ones((1, 3))) == pytest.approx(-1)
+
+
+def test_bodies_apart_and_cavities(tmp_path: Path):
+    other, cavity = box(1, 1, 1), box(1, 1, 1)
+    other.apply_translation([4, 0, 0])
+    other.invert()
+    cavity.invert()
+    found = mesh_file.read(saved(trimesh.util.concatenate([box(2, 2, 2), other, cavity]), tmp_path / "three.stl"))
+    assert found.body.max() == 2
+    distance = mesh_import.signed_distance(found, np.array([[0, 0, 0], [4, 0, 0], [2.5, 0, 0.0]]))
+    assert distance == pytest.approx([-1, -0.5, 1.0])
+
+
+def test_a_surface_of_two_sides_given_twice_is_one(tmp_path: Path):
+    whole, sheet = box(2, 2, 2), np.array([[3, 0, 0], [5, 0, 0], [5, 2, 0], [3, 2, 0.0]])
+    double = trimesh.Trimesh(whole.vertices, [*whole.faces, *whole.faces[:, ::-1]], process=False)
+    assert_whole(mesh_file.read(saved(double, tmp_path / "double.stl")), 8)
+    fin = trimesh.Trimesh(sheet, [[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]], process=False)
+    with pytest.raises(UserError, match=r"is not closed: 4 open edges, one of them near x \d\S*, y \d"):
+        mesh_file.read(saved(trimesh.util.concatenate([whole, fin]), tmp_path / "fin.stl"))
+
+
+def test_a_needle_is_a_body(tmp_path: Path):
+    assert mesh_file.read(saved(box(0.02, 0.02, 50), tmp_path / "needle.stl")).body.max() == 0
+
+
+def bottle() -> trimesh.Trimesh:
+    """A Klein bottle, the turned figure of eight: closed, and without an inside."""
+    n, m = 30, 16
+    i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    a, b = 2 * np.pi * i / n, 2 * np.pi * (j + 0.5) / m
+    r = 2 + np.cos(a / 2) * np.sin(b) - np.sin(a / 2) * np.sin(2 * b)
+    z = np.sin(a / 2) * np.sin(b) + np.cos(a / 2) * np.sin(2 * b)
+    number = np.arange(n * m).reshape(n, m)
+    number = np.concatenate([number, number[:1, ::-1]])
+    number = np.concatenate([number, number[:, :1]], 1)
+    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    p, q, s, t = (corner.ravel() for corner in corners)
+    points = np.stack([r * np.cos(a), r * np.sin(a), z], -1).reshape(-1, 3)
+    return trimesh.Trimesh(points, [*np.stack([p, q, s], 1), *np.stack([p, s, t], 1)], process=False)
+
+
+def open_with_flag() -> trimesh.Trimesh:
+    """Open edges around a large hole, and 2 and an edge of three triangles where one triangle hangs off the surface;
+    MeshLab takes that one away."""
+    mesh = ball(3)
+    mesh.update_faces(mesh.triangles_center[:, 2] < 1)
+    flag = [*mesh.faces[10, :2], len(mesh.vertices)]
+    return trimesh.Trimesh([*mesh.vertices, mesh.triangles_center[10] * 1.2], [*mesh.faces, flag], process=False)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (open_with_flag, "is not closed: 46 open edges, 1 edge between 3 or more triangles, one of them near x "),
+        (bottle, "its triangles face to both sides; make their normals consistent in a mesh editor first"),
+        (
+            lambda: trimesh.util.concatenate([box(1, 1, 1), box(2, 1e-9, 2)]),
+            "has a part, near x ",
+        ),
+    ],
+)
+def test_what_is_wrong_is_told_of_the_file_not_of_its_repair(make: Any, says: str, tmp_path: Path):
+    with pytest.raises(UserError) as caught:
+        mesh_file.read(saved(make(), tmp_path / "bad.obj"))
+    assert says in caught.value.lines[0]
 
 
 def open_ball(tmp_path: Path) -> Path:
@@ -89,7 +203,7 @@ def text(name: str, content: bytes):
     ("make", "says"),
     [
         (open_ball, "is not closed: "),
-        (open_ball, " open edges; close it in a mesh editor first"),
+        (open_ball, "; close it in a mesh editor first"),
         (flat, "encloses no volume"),
         (text("a.stl", b""), ": "),
         (text("a.stl", b"solid x\nendsolid x\n"), "holds no triangles"),

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import trimesh
 
 
@@ -17,3 +18,31 @@ def ball(subdivisions: int = 5) -> trimesh.Trimesh:
 
 def box(*size: float) -> trimesh.Trimesh:
     return trimesh.creation.box(size)
+
+
+def truncated_cone(facets: int = 180, low: float = 5.0, high: float = 3.0, height: float = 4.0) -> trimesh.Trimesh:
+    """Both ends are fans of slivers from one corner, in single precision as in an STL, so that no fan is plane."""
+    angle = 2 * np.pi * np.arange(facets) / facets
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    v = np.concatenate([ring * low, ring * high + [0, 0, height]])
+    turned = trimesh.transform_points(v, trimesh.transformations.rotation_matrix(0.3, [1, 0.3, 0.2]))
+    i, k = np.arange(facets), np.arange(1, facets - 1)
+    j, n = (i + 1) % facets, facets
+    sides = [np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])]
+    ends = [np.column_stack([0 * k, k + 1, k]), np.column_stack([0 * k, k, k + 1]) + n]
+    return trimesh.Trimesh(turned.astype(np.float32), np.concatenate([*sides, *ends]), process=False)
+
+
+def cells(*corners: tuple[int, int, int], walls: bool = False) -> trimesh.Trimesh:
+    """Unit cubes with their lowest corners here; faces between two of them are there twice if `walls`, else not."""
+    points: list[np.ndarray] = []
+    for corner in corners:
+        for axis, side in np.ndindex(3, 2):
+            across = np.eye(3, dtype=int)[axis] * (2 * side - 1)
+            if not walls and tuple(corner + across) in corners:
+                continue
+            u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+            low = corner + np.eye(3)[axis] * side
+            one, two = (low, low + u, low + u + v), (low, low + u + v, low + v)
+            points += [*one, *two] if side else [*one[::-1], *two[::-1]]
+    return trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3), process=False)

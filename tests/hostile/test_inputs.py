@@ -84,6 +84,10 @@ MESHES = {
     "two columns": ("a.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
     "no area": ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"),
     "all one point": ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\nf 3 2 1\n"),
+    "back to back": ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 3 2 1\n"),
+    "a point far away": ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1e8 0 0\nf 1 2 3\nf 1 2 3\nf 1 2 4\nf 2 1 4\n"),
+    "book": ("a.obj", b"v 0 0 0\nv 0 0 1\n" + b"".join(b"v %d %d 0\n" % (k, k * k) for k in range(2, 40))
+             + b"".join(b"f 1 2 %d\n" % k for k in range(3, 41))),
     "tiny": ("a.obj", b"v 0 0 0\nv 1e-300 0 0\nv 0 1e-300 0\nv 0 0 1e-300\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"),
     "one face": ("a.stl", b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
                  b"endloop\nendfacet\nendsolid a\n"),
