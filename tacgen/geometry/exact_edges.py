@@ -20,6 +20,7 @@ OFF = 0.05  # error of the spline over the cell, above which edges are computed 
 NEAR = 2.0  # distance from the surface within which that error matters, over the cell [-]
 BLEND = 2  # nodes by which the exact region is wider: there both distances agree, and one passes into the other
 LONGEST = 8.0  # longest mitre over the radius [-]: of an edge of 14 deg
+FLAT = 1e-3  # square of the sine of an angle of faces, below which they are one flat face [-]
 SLIVER = 1e-4  # altitude of a triangle [mm] below which its normal is rounding error, and its neighbours' is taken
 CELLS = np.sqrt(3) / 2  # half the diagonal of a cell over its side
 ON_CORE = 1e-9  # distance from the core [mm] within which its direction is rounding error
@@ -59,14 +60,12 @@ def sharpened(field: Field, distances: Array, solid: SolidMesh, radius: float) -
     at_nodes, origin, cell = field.coefficients, field.origin, field.cell
     for axis in range(3):
         at_nodes = ndimage.correlate1d(at_nodes, np.array([1.0, 4.0, 1.0]) / 6, axis=axis, mode="nearest")
-    recedes = (at_nodes - distances > OFF * cell) & (np.abs(distances) < NEAR * cell)
+    recedes = (at_nodes - distances > OFF * cell) & (np.abs(distances) < NEAR * cell) & _inner(distances.shape, 2)
     if not recedes.any():
         return field
     share = ndimage.binary_dilation(recedes, np.ones((3, 3, 3)), iterations=BLEND)
-    inner = np.zeros(share.shape, bool)
-    inner[1:-2, 1:-2, 1:-2] = True
     stencil = ndimage.maximum_filter(share, size=4, origin=-1)  # nodes -1 to 2 of the cell that begins at each node
-    cells = np.argwhere(stencil & inner)
+    cells = np.argwhere(stencil & _inner(share.shape, 1))
     core = _eroded(solid.vertices, solid.triangles, radius)
     table = np.concatenate([core[solid.triangles], _normals(solid.vertices, solid.triangles)], 1)
     middle = origin + (cells + 0.5) * cell
@@ -91,6 +90,13 @@ def sharpened(field: Field, distances: Array, solid: SolidMesh, radius: float) -
     )
 
 
+def _inner(shape: tuple[int, ...], rim: int) -> Array:
+    """Whether nodes (i, j, k) are not among the first `rim` of an axis, nor among the last rim + 1."""
+    inner = np.zeros(shape, bool)
+    inner[(slice(rim, -rim - 1),) * 3] = True
+    return inner
+
+
 def _farthest(core: Array, solid: SolidMesh, points: Array) -> Array:
     """Distance (n,) [mm] of points (n, 3) from that body whose surface is farthest."""
     import igl
@@ -110,8 +116,10 @@ def _eroded(vertices: Array, triangles: Array, radius: float) -> Array:
         weighted = angle[:, k, None] * normal
         np.add.at(A, triangles[:, k], weighted[:, :, None] * normal[:, None])
         np.add.at(b, triangles[:, k], -radius * weighted)
-    A += 1e-4 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-    step = np.linalg.solve(A, b[..., None])[..., 0]
+    size, axes = np.linalg.eigh(A)
+    known = size > FLAT * size[:, -1:]  # across a flat face alone, across an edge two, at a tip all three
+    part = np.where(known, np.einsum("nij,ni->nj", axes, b) / np.where(known, size, 1.0), 0.0)
+    step = np.einsum("nij,nj->ni", axes, part)
     length = np.linalg.norm(step, axis=1)
     return np.asarray(vertices + step * np.minimum(1.0, LONGEST * radius / np.maximum(length, 1e-12))[:, None])
 

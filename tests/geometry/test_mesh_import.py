@@ -14,6 +14,7 @@ from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.recipe import assets, plan, scene_of_row
 
 Array = np.ndarray
+RADIUS = 0.02  # of sharp edges [mm]
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +27,7 @@ def solid_of(mesh: trimesh.Trimesh) -> SolidMesh:
 
 
 def field(mesh: trimesh.Trimesh, cell: float, height: float = 1.5) -> Any:
-    return mesh_import.field(mesh_import.placed(solid_of(mesh)), cell=cell, height=height, half=30.0)
+    return mesh_import.field(mesh_import.placed(solid_of(mesh)), cell=cell, height=height, half=30.0, radius=RADIUS)
 
 
 def test_distance_to_a_fine_ball():
@@ -45,16 +46,15 @@ def test_distance_to_a_fine_ball():
 
 
 def test_distance_to_a_block():
-    """Faces are exact six cells off the edges, which are rounded by two."""
+    """Faces are exact, and edges but for their radius."""
     found = field(box(6, 6, 4), 0.1)
     rng = np.random.default_rng(1)
     p = np.column_stack([rng.uniform(-2.4, 2.4, (2000, 2)), rng.uniform(-0.2, 0.1, 2000)])
     assert found.distance(p)[0] == pytest.approx(-p[:, 2], abs=1e-6)
     side = np.column_stack([rng.uniform(2.9, 3.2, 500), rng.uniform(-2, 2, 500), rng.uniform(0.4, 0.9, 500)])
     assert found.distance(side)[0] == pytest.approx(side[:, 0] - 3, abs=1e-3)
-    assert found.smallest_radius == pytest.approx(0.2)  # sharp: two cells, what the grid makes of it
-    edge = found.distance(np.array([[3.0, 0.0, 0.0]]))[0][0]
-    assert 0.02 < edge < 0.15  # the rounded edge lies inside the sharp one
+    assert found.smallest_radius == pytest.approx(RADIUS)
+    assert found.value(np.array([[3.0, 0.0, 0.0]])) == pytest.approx(RADIUS * (np.sqrt(2) - 1), abs=1e-9)
 
 
 def test_a_wall_thinner_than_the_cell_gets_a_finer_grid():
@@ -105,7 +105,7 @@ def test_overlapping_bodies_are_united(tmp_path: Path):
     other.apply_translation([1, 0, 0])
     found = mesh_file.read(saved(trimesh.util.concatenate([box(2, 2, 2), other]), tmp_path / "two.stl"))
     assert found.body.max() == 1
-    made = mesh_import.field(mesh_import.placed(found), cell=0.1, height=2.0, half=30)
+    made = mesh_import.field(mesh_import.placed(found), cell=0.1, height=2.0, half=30, radius=RADIUS)
     inside = np.column_stack([np.linspace(-1.2, 1.2, 25), np.zeros(25), np.full(25, 0.5)])
     assert (made.distance(inside)[0] < -0.2).all()
 

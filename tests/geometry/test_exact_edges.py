@@ -1,0 +1,107 @@
+"""Sharp edges and tips of meshes against the closed forms of the same bodies with round ones."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from helpers.meshes import ball, box, truncated_cone
+
+from benchmarks import sharp
+from tacgen.geometry import mesh_import
+from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, WedgeSdf
+from tacgen.geometry.exact_edges import SharpField
+from tacgen.geometry.mesh_file import SolidMesh
+from tacgen.geometry.sdf_grid import Field
+
+Array = np.ndarray
+RADIUS, CELL = 0.02, 0.15
+HALF = math.radians(15)
+
+
+def field(mesh: trimesh.Trimesh, cell: float = CELL) -> Field:
+    solid = SolidMesh("test", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))
+    return mesh_import.field(mesh_import.placed(solid), cell=cell, height=1.5, half=30.0, radius=RADIUS)
+
+
+def around(low: float, high: float, count: int = 2000) -> Array:
+    """Points near the lowest point of an indenter."""
+    rng = np.random.default_rng(0)
+    return np.column_stack([rng.uniform(-0.4, 0.4, (count, 2)), rng.uniform(low, high, count)])
+
+
+# a body opened by a ball: its tip recedes by what the ball does not reach
+OPENED = {
+    "wedge": (sharp.wedge(15), WedgeSdf(HALF, RADIUS, 8.0), RADIUS * (1 / math.sin(HALF) - 1), 1e-9),
+    # 64 flat sides: they lie inside the cone by 1.2 thousandths of its radius
+    "cone": (sharp.cone(40), ConeSdf(math.radians(40), RADIUS), RADIUS * (1 / math.sin(math.radians(40)) - 1), 1e-3),
+    "edges of a flat face": (box(0.5, 0.4, 3), BoxSdf(0.5, 0.4, RADIUS), 0.0, 1e-9),
+}
+
+
+@pytest.mark.parametrize("name", OPENED)
+def test_distance_normal_and_curvature_are_the_opened_bodys(name: str) -> None:
+    """On cells seven times as long as its radius; everywhere that contact can act."""
+    mesh, closed_form, recedes, off = OPENED[name]
+    found, p = field(mesh), around(-0.1, 0.5)
+    assert isinstance(found, SharpField)
+    shape: Shape = closed_form
+    d, n, H = shape.distance(p - [0, 0, recedes])
+    near = (np.abs(d) < RADIUS * 0.99) & (np.abs(p[:, 1]) < 3)
+    assert near.sum() > 50
+    got, slope, bend = (part[near] for part in found.distance(p))
+    assert got == pytest.approx(d[near], abs=off)
+    if off < 1e-6:
+        assert slope == pytest.approx(n[near], abs=1e-6)
+        assert bend == pytest.approx(H[near], abs=1e-4 / RADIUS)
+
+
+def test_a_spline_alone_makes_a_tip_recede_by_half_a_cell() -> None:
+    """What the exact edges are for."""
+    found, tip = field(sharp.wedge(15)), np.array([[0.0, 0.0, 0.0]])
+    assert found.value(tip) == pytest.approx(RADIUS * (1 / math.sin(HALF) - 1), abs=1e-9)
+    assert Field.distance(found, tip)[0] > 0.5 * CELL
+
+
+@pytest.mark.parametrize("make", [lambda: sharp.wedge(15), lambda: sharp.block((4, 4, 4), (1, 1, 1)), truncated_cone])
+def test_gradient_and_hessian_are_slopes(make) -> None:
+    """Also where the exact distance passes into the spline."""
+    found, p, h = field(make()), around(-0.2, 0.8, 300), 1e-6
+    _, g, H = found.distance(p)
+    steps = h * np.eye(3)
+    slopes = np.stack([(found.value(p + s) - found.value(p - s)) / (2 * h) for s in steps], 1)
+    bends = np.stack([(found.gradient(p + s)[1] - found.gradient(p - s)[1]) / (2 * h) for s in steps], 2)
+    smooth = np.linalg.norm(bends - H, axis=(1, 2)) < 1  # the distance bends at once behind an edge's last face
+    assert smooth.mean() > 0.97
+    assert g == pytest.approx(slopes, abs=1e-6)
+    assert np.abs(g).max() > 0.9
+    assert H[smooth] == pytest.approx(bends[smooth], abs=2e-3 * np.abs(H).max())
+
+
+def test_a_smooth_body_stays_a_spline() -> None:
+    assert type(field(ball(4))) is Field
+
+
+def test_a_tip_is_found_where_no_edge_is_sharp() -> None:
+    """The sides of a cone of 64 triangles meet at 4 deg."""
+    found = field(sharp.cone(40))
+    assert found.smallest_radius == pytest.approx(RADIUS)
+    assert found.convex is not None
+    assert np.abs(found.convex.tips - [0, 0, 0]).sum(1).min() == pytest.approx(0, abs=1e-9)
+    assert field(ball(4)).smallest_radius > 3
+    beside = found.convex.smallest(lambda at: (at[:, 2] > 0.3) & (at[:, 2] < 4))
+    assert beside > 10 * RADIUS  # that part of the cone is smooth
+
+
+def test_overlapping_bodies_are_one() -> None:
+    """Edges of one that lie inside the other are no surface."""
+    block, other = box(2, 2, 2), box(2, 2, 2)
+    other.apply_translation([0.3, 0.3, 0])
+    both = trimesh.util.concatenate([block, other])
+    body = np.repeat([0, 1], len(block.faces))
+    solid = mesh_import.placed(SolidMesh("two", np.asarray(both.vertices), np.asarray(both.faces), body))
+    found = mesh_import.field(solid, cell=0.1, height=1.5, half=30.0, radius=RADIUS)
+    inner = np.array([[0.85, 0.85, 0.15], [-0.85, -0.85, 0.15]])  # beside a vertical edge of the other body
+    assert (found.value(inner) < -0.1).all()
+    floor = np.column_stack([np.linspace(-0.9, 0.9, 30), np.linspace(-0.9, 0.9, 30), np.full(30, -0.01)])
+    assert found.value(floor) == pytest.approx(0.01, abs=1e-6)
