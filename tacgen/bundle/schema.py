@@ -75,6 +75,7 @@ class StoredMesh(Stored):
     smallest_scaled_jacobian: float
     volume_error: float
     smallest_dihedral_deg: float | None = None
+    bonded_share: float | None = None
 
 
 # Attributes that are JSON, and the types that readers rely on.

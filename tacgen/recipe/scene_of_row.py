@@ -85,8 +85,9 @@ def gel_of(sensor: Sensor, solid_path: Path | None = None) -> GelBody:
     g = sensor.gel
     if g.solid is not None and solid_path is not None:
         solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
-        held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
-        return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=held[0], coated=held[1])
+        bonded, coated = (float(np.radians(angle)) for angle in (g.solid.bonded_deg, g.solid.coated_deg))
+        held = {"bonded": bonded, "held": g.solid.bonded_mm, "coated": coated}
+        return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, **held)
     return GelBody(**vars(g.pad), layers=tuple(layers))
 
 

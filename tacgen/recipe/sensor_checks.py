@@ -1,12 +1,15 @@
 """Checks of a sensor alone: contradictions in its file."""
 
+import math
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, sensor_base
 from tacgen.sensor import optics_checks
-from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor
+from tacgen.sensor.base_model import Axis
+from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor, Solid
 from tacgen.sensor.validation_messages import Issue, needs, validate
 
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
@@ -78,7 +81,7 @@ def _seen(sensor: Sensor) -> list[Issue]:
 
 
 def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
-    """The file must exist, have the right hash, be closed, and have the size that the sensor file says."""
+    """The file must exist, have the right hash, be closed, be bonded, and have the size that the sensor file says."""
     if gel.solid is None:
         return []
     excluded = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
@@ -89,17 +92,43 @@ def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
             for name in excluded
         ]
     from tacgen.geometry import mesh_import
+    from tacgen.geometry.gel import LOOSE, MIN_BONDED
 
     try:
         path = assets.mesh_path(gel.solid.file, folder)
-        sizes = mesh_import.sizes(path, gel.solid.up, gel.solid.scale)
+        sizes, share = mesh_import.sizes(path, gel.solid.up, gel.solid.scale), bonded_share(gel.solid, path)
     except UserError as error:
         return [Issue(("gel", "solid", "file"), error.lines[0])]
     if gel.solid.sha256 not in (None, sha256 := assets.sha256(path)):
         return [Issue(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(sha256)}")]
+    if share < MIN_BONDED:
+        return [Issue(("gel", "solid"), LOOSE.format(share))]
     said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": gel.thickness_mm}
     return [
         Issue(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
         for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
         if abs(size - value) > SOLID_SIZE_ERROR * value
     ]
+
+
+def bonded_note(sensor: Sensor, path: Path | None) -> list[str]:
+    """A line on how much of a solid gel, read from `path`, is bonded."""
+    if path is None or sensor.gel.solid is None:
+        return []
+    return [f"{bonded_share(sensor.gel.solid, path):.0%} of the gel's footprint is bonded to the plate"]
+
+
+def bonded_share(solid: Solid, path: Path) -> float:
+    """Part of a solid's footprint that is bonded [-]; cached until its file changes."""
+    state = path.stat()
+    how = (math.radians(solid.bonded_deg), solid.bonded_mm)
+    return _bonded_share(path, solid.up, solid.scale, how, state.st_mtime_ns, state.st_size)
+
+
+@cache
+def _bonded_share(path: Path, up: Axis, scale: float, how: tuple[float, float | None], *_: int) -> float:
+    from tacgen.geometry import gel, mesh_import
+
+    placed = mesh_import.placed(mesh_import.read(path), up=up, scale=scale)
+    surface = placed.vertices, placed.triangles
+    return gel.bonded_share(*surface, placed.triangles[gel.bonded(*surface, *how)])
