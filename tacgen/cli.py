@@ -180,9 +180,8 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
         sensor, tree = loading.read_sensor(path)
         warn(usual_values.warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
-        solid = sensor.gel.solid and assets.mesh_path(sensor.gel.solid.file, loading.solid_folder(tree))
         assumed = usual_values.assumed(sensor) if sensor.base else []
-        for part in [*assumed, *sensor_checks.bonded_note(sensor, solid)]:
+        for part in [*assumed, *sensor_checks.bonded_note(sensor, loading.solid_folder(tree))]:
             typer.echo(f"note: {part}")
         return
     plan = plan_of(file, sets)
@@ -190,7 +189,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    bonded = sensor_checks.bonded_note(row.sensor, row.solid_path if row.sensor.gel.solid else None)
+    bonded = sensor_checks.bonded_note(row.sensor, row.folders.get(("sensor", *loading.SOLID)))
     for note in [*row.notes, *bonded, *filter(None, [approach.note(plan.rows), force_error_note.note(row)])]:
         typer.echo(f"note: {note}")
 

@@ -269,7 +269,8 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float) -> Field
 
     radius = max(smallest_radius(solid, height), 2 * cell)  # the field rounds edges by two cells
     corners = solid.vertices[ConvexHull(solid.vertices).vertices]
-    return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
+    surface = solid.vertices, solid.triangles
+    return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, surface=surface, blunt=True)
 
 
 def refuse_thin_walls(solid: SolidMesh, cell: float, height: float, edge: float) -> None:

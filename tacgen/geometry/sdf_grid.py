@@ -100,8 +100,9 @@ class Field:
     """A rigid indenter given by its signed distance on a grid; fits `analytic_sdf.Shape`.
 
     coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; corners (h, 3) of the
-    body's convex hull [mm]. Outside the grid the distance is a lower bound: the surface that can touch the gel must be
-    inside, at least the contact range from the grid's boundary.
+    body's convex hull [mm]; surface: its vertices (n, 3) [mm] and triangles (m, 3), if known. Outside the grid the
+    distance is a lower bound: the surface that can touch the gel must be inside, at least the contact range from the
+    grid's boundary.
     """
 
     coefficients: Array
@@ -110,6 +111,7 @@ class Field:
     smallest_radius: float
     reach: float
     corners: Array
+    surface: tuple[Array, Array] | None
 
     @classmethod
     def through(
@@ -120,6 +122,7 @@ class Field:
         *,
         smallest_radius: float,
         corners: Array,
+        surface: tuple[Array, Array] | None = None,
         blunt: bool = False,
     ) -> "Field":
         """The field of signed distances (i, j, k) [mm], at least 4 a side, at the grid's nodes.
@@ -140,7 +143,7 @@ class Field:
                 mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
             smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND * cell)) ** 2))
             spline = smooth * spline + (1 - smooth) * mean
-        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners)
+        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners, surface)
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""

@@ -111,11 +111,12 @@ def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
     ]
 
 
-def bonded_note(sensor: Sensor, path: Path | None) -> list[str]:
-    """A line on how much of a solid gel, read from `path`, is bonded."""
-    if path is None or sensor.gel.solid is None:
+def bonded_note(sensor: Sensor, folder: Path | None) -> list[str]:
+    """A line on how much of a solid gel is bonded; `folder` as for `check`."""
+    if (solid := sensor.gel.solid) is None:
         return []
-    return [f"{bonded_share(sensor.gel.solid, path):.0%} of the gel's footprint is bonded to the plate"]
+    share = bonded_share(solid, assets.mesh_path(solid.file, folder))
+    return [f"{share:.0%} of the gel's footprint is bonded to the plate"]
 
 
 def bonded_share(solid: Solid, path: Path) -> float:

@@ -56,7 +56,8 @@ def prism(profile: list[tuple[float, float]], length: float = 8.0) -> trimesh.Tr
             corner = np.array([xz[i], xz[j], xz[m]])
             ways = np.roll(corner, -1, 0) - corner
             others = xz[[o for o in left if o not in (i, j, m)]]
-            side = np.array([w[0] * (others - c)[:, 1] - w[1] * (others - c)[:, 0] for w, c in zip(ways, corner, strict=True)])
+            side = np.array([np.linalg.det(np.stack([np.tile(w, (len(others), 1)), others - c], 1))
+                             for w, c in zip(ways, corner, strict=True)])  # fmt: skip
             if ways[0, 0] * ways[1, 1] - ways[0, 1] * ways[1, 0] > 1e-12 and not (side >= 0).all(0).any():
                 ears.append((i, j, m))
                 left.remove(j)
