@@ -7,7 +7,6 @@ import numpy as np
 from tacgen.geometry.analytic_sdf import Shape, lowest
 from tacgen.geometry.outline import Pad
 from tacgen.geometry.pose import Pose
-from tacgen.geometry.sdf_grid import Field
 
 if TYPE_CHECKING:
     from tacgen.geometry.gel import GelBody
@@ -69,8 +68,9 @@ def _sink_depth(shape: Shape, pose: Array, gel: "GelBody | Pad") -> float:
     """
     if not gel.flat:
         return _lowered(shape, pose, gel, STEPS[:2])
-    if isinstance(shape, Field) and shape.surface is not None:
-        sunk = least_over(*shape.surface, gel, pose)
+    surface: tuple[Array, Array] | None = getattr(shape, "surface", None)  # of a mesh, see sdf_grid.Field
+    if surface is not None:
+        sunk = least_over(*surface, gel, pose)
     elif _rests_on(shape, pose, gel):
         return 0.0
     else:

@@ -14,7 +14,7 @@ KEEP = "check its start or poses, and their unit; may_miss: true keeps such scen
 
 
 def verdict(recipe: "Recipe", gap: float) -> tuple[bool, str]:
-    """Of a scene without force, whose indenter came as close as `gap` [mm]: whether it is ok, and a line on it."""
+    """Whether a scene without force is ok, whose indenter came as close as `gap` [mm], and a line that says so."""
     quality = recipe.resolved()
     if gap < -quality.dhat_mm:
         finer = f"ask for a finer mesh, as in quality: {{edge_mm: {quality.edge_mm / 2:.2g}}}"
@@ -43,9 +43,9 @@ def _gap(row: "Row") -> float:
     """How close a scene comes to contact [mm]; 0 if it touches, or may do so: a press ends below first touch, and a
     force is searched for until it is found.
     """
-    pressed = any(step.press for step in row.recipe.trajectory)
-    if (pressed or row.other) and row.index and row.recipe.indenter.shape == "mesh":
-        return 0.0  # a file is read for the first of such scenes alone
+    pressed, file = any(step.press for step in row.recipe.trajectory), row.recipe.indenter.shape == "mesh"
+    if (pressed or row.other) and (row.index if file else not row.other):
+        return 0.0  # a file is read for the first of such scenes alone; other shapes are looked at with the recipe
     if row.other is not None:
         from tacgen.recipe import grasp_of_row
 

@@ -10,8 +10,6 @@ import numpy as np
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.first_touch import ON_PLANE, contact_height, least_over, lowest_over
-from tacgen.geometry.mesh_import import SolidMesh
-from tacgen.geometry.outline import Pad
 from tacgen.geometry.pose import shortest_turn
 from tacgen.mechanics.scene import Forced
 from tacgen.recipe import pose_table
@@ -21,6 +19,8 @@ from tacgen.sensor.yaml_source import format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.gel import GelBody
+    from tacgen.geometry.mesh_import import SolidMesh
+    from tacgen.geometry.outline import Pad
 
 Array = np.ndarray
 
@@ -38,7 +38,7 @@ class Path:
 
 
 def sunk_beside(
-    recipe: Recipe, solid: SolidMesh, pad: Pad, replayed: Callable[[int], tuple[pose_table.TimedPose, ...]]
+    recipe: Recipe, solid: "SolidMesh", pad: "Pad", replayed: Callable[[int], tuple[pose_table.TimedPose, ...]]
 ) -> float:
     """Largest height of an upright solid's lowest point over the pad above its lowest point, along a path [mm]."""
     rows = [replayed(number) if segment.replay else () for number, segment in enumerate(recipe.trajectory)]

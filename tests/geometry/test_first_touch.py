@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.flanged_rod import flanged
 from helpers.small_recipe import HEAD
 from typer.testing import CliRunner
 
@@ -38,25 +39,6 @@ def pose(tilt_deg: float = 0.0, axis_deg: float = 90.0, yaw_deg: float = 0.0, x:
     return found
 
 
-def flanged(rod: float = 4.0, flange: float = 9.0, length: float = 60.0, width: float = 6.0) -> trimesh.Trimesh:
-    """A rod along x with a flange at its end, of 24 sides, each of which has a side below."""
-    angle = (np.arange(24) + 0.5) * 2 * np.pi / 24
-    rings = [(-length / 2, rod), (length / 2 - width, rod), (length / 2 - width, flange), (length / 2, flange)]
-    ends = [(x, r / np.cos(np.pi / 24)) for x, r in rings]
-    points = [np.column_stack([np.full(24, x), -r * np.sin(angle), r * np.cos(angle)]) for x, r in ends]
-    k, after = np.arange(24), np.roll(np.arange(24), -1)
-    faces = [np.stack([k, after, np.full(24, 96)], 1), np.stack([after + 72, k + 72, np.full(24, 97)], 1)]
-    for i in range(3):
-        faces += [np.stack([k + 24 * i, k + 24 * (i + 1), after + 24 * i], 1),
-                  np.stack([after + 24 * i, k + 24 * (i + 1), after + 24 * (i + 1)], 1)]  # fmt: skip
-    caps = np.array([[-length / 2, 0.0, 0.0], [length / 2, 0.0, 0.0]])
-    made = trimesh.Trimesh(np.concatenate([*points, caps]), np.concatenate(faces), process=False)
-    made.invert()
-    assert made.is_watertight
-    assert made.volume > 0
-    return made
-
-
 def field(drawn: trimesh.Trimesh, tmp_path: Path, half: float = 12.0):
     drawn.export(tmp_path / "drawn.stl")
     solid = mesh_import.placed(mesh_import.read(tmp_path / "drawn.stl"))
@@ -78,7 +60,9 @@ def test_a_leaning_capsule_touches_at_the_rim(name: str) -> None:
     """By the least height of its axis over the pad's outline, less the radius."""
     pad, shape, tilt = PADS[name], CapsuleSdf(2.0, 60.0), np.radians(4.0)
     rim = pad.outline(1e-6)
-    rim = np.concatenate([rim + s * (np.roll(rim, -1, 0) - rim) for s in np.linspace(0, 1, 2000)])
+    sides = [a + np.linspace(0, 1, 4001)[:, None] * (b - a)
+             for a, b in zip(rim, np.roll(rim, -1, 0), strict=True) if np.linalg.norm(b - a) > 1]  # fmt: skip
+    rim = np.concatenate([rim, *sides])
     for yaw in (0.0, 90.0):
         at = pose(4.0, 90.0 + yaw, yaw)
         way = np.array([np.cos(np.radians(yaw)), np.sin(np.radians(yaw))])
@@ -123,7 +107,7 @@ def test_the_lowest_point_over_a_pad_is_that_of_its_triangles() -> None:
     rng = np.random.default_rng(3)
     for pad in PADS.values():
         for _ in range(5):
-            vertices = rng.uniform(-14, 14, (12, 3)) + [0, 0, 20]
+            vertices = rng.uniform([-14, -14, 6], [14, 14, 34], (12, 3))
             triangles = rng.permutation(12).reshape(4, 3)
             s, t = rng.uniform(0, 1, (2, 60_000))
             s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)

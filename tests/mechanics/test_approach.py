@@ -65,6 +65,19 @@ def test_validate_says_so_before_the_run(tmp_path: Path, moves: str, start: str,
     assert (done.exit_code, "".join(notes)) == (0, note)
 
 
+def test_what_is_inside_the_gel_without_force_is_never_ok(tmp_path: Path) -> None:
+    """A tip between contact points."""
+    path = tmp_path / "r.yaml"
+    path.write_text(f"{HEAD}  - slide: {{x_mm: 1, frames: 2}}\n")
+    for may_miss in ("true", "false"):
+        recipe = plan.load(path, [f"may_miss={may_miss}"]).rows[0].recipe
+        fine, said = approach.verdict(recipe, -0.158)
+        assert (fine, said.split(": ")[0]) == (
+            False, "the indenter is 0.158 mm inside the gel without force, between contact points",
+        )  # fmt: skip
+        assert approach.verdict(recipe, 0.05)[0] == (may_miss == "true")
+
+
 def test_scenes_without_contact_are_one_note(tmp_path: Path) -> None:
     path = tmp_path / "r.yaml"
     path.write_text(
