@@ -147,12 +147,12 @@ class SolidGel(GelBody):
 
     @cached_property
     def back(self) -> tuple[Array, Array]:
-        """Vertices and triangles of the bonded face. Raises UserError: it is less than half of the footprint."""
+        """Vertices and triangles of the bonded face. Raises UserError: that is too little."""
+        assert self.solid is not None
         v, t, _ = self.surface(0, 0)
-        held = t[bonded(v, t, self.bonded, self.held)]
-        if (share := bonded_share(v, t, held)) < MIN_BONDED:
-            raise UserError(f"{self.solid.name if self.solid else 'gel'}: {LOOSE.format(share)}")
-        return v, held
+        if why := held_by(self.solid, self.bonded, self.held)[1]:
+            raise UserError(f"{self.solid.name}: {why}")
+        return v, t[bonded(v, t, self.bonded, self.held)]
 
     @cached_property
     def bonded_share(self) -> float:
@@ -171,6 +171,11 @@ class SolidGel(GelBody):
         x, y = np.broadcast_arrays(x, y)
         _, beside = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
         return (beside < slack + 1e-9).reshape(x.shape)
+
+    def drawn_in(self, xy: Array) -> Array:
+        """The points (n, 2) of the coated face, as seen from above, that are closest to points (n, 2)."""
+        v, t = self.face
+        return mesh_import.nearest(v * [1.0, 1.0, 0.0], t, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
         """Vertices and triangles of the file; the interfaces between layers extend beyond them on all sides."""
@@ -239,6 +244,23 @@ def bonded(vertices: Array, triangles: Array, angle: float, held: float | None) 
     mask = np.zeros(len(triangles), bool)
     mask[down] = np.isin(part, ours)
     return mask
+
+
+def held_by(solid: mesh_import.SolidMesh, angle: float, held: float | None) -> tuple[float, str]:
+    """Part of a solid's footprint that is bonded [-], and why that is too little, or ""."""
+    v, t = solid.vertices, solid.triangles
+    ours = bonded(v, t, angle, held)
+    share, bodies = bonded_share(v, t, t[ours]), np.unique(solid.body)
+    if share < MIN_BONDED:
+        return share, LOOSE.format(share)
+    theirs = np.isin(solid.body, solid.body[ours])
+    first = np.array([v[t[solid.body == body][0, 0]] for body in np.setdiff1d(bodies, solid.body[ours])])
+    if len(first) and (loose := int((~mesh_import.inside(v, t[theirs], first)).sum())):
+        return (
+            share,
+            f"{loose} of its {len(bodies)} bodies would not be bonded to the plate: unite them in a mesh editor",
+        )
+    return share, ""
 
 
 def bonded_share(vertices: Array, triangles: Array, held: Array) -> float:

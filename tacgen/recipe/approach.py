@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from tacgen.errors import UserError
+
 if TYPE_CHECKING:
     from tacgen.recipe.model import Recipe
     from tacgen.recipe.row import Row
@@ -29,8 +31,12 @@ def note(rows: Sequence["Row"]) -> str:
     Raises:
         UserError: one of them cannot be followed.
     """
-    looked = rows[:LOOKED_AT]
-    missed = [(row, gap) for row in looked if (gap := _gap(row)) > 0]
+    looked, missed = rows[:LOOKED_AT], []
+    for row in looked:
+        try:
+            missed += [(row, gap)] if (gap := _gap(row)) > 0 else []
+        except UserError as error:
+            raise UserError(f"{row.name}: {line}" for line in error.lines) from None
     if not missed:
         return ""
     row, gap = missed[0]

@@ -92,17 +92,16 @@ def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
             for name in excluded
         ]
     from tacgen.geometry import mesh_import
-    from tacgen.geometry.gel import LOOSE, MIN_BONDED
 
     try:
         path = assets.mesh_path(gel.solid.file, folder)
-        sizes, share = mesh_import.sizes(path, gel.solid.up, gel.solid.scale), bonded_share(gel.solid, path)
+        sizes, loose = mesh_import.sizes(path, gel.solid.up, gel.solid.scale), _bonded(gel.solid, path)[1]
     except UserError as error:
         return [Issue(("gel", "solid", "file"), error.lines[0])]
     if gel.solid.sha256 not in (None, sha256 := assets.sha256(path)):
         return [Issue(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(sha256)}")]
-    if share < MIN_BONDED:
-        return [Issue(("gel", "solid"), LOOSE.format(share))]
+    if loose:
+        return [Issue(("gel", "solid"), loose)]
     said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": gel.thickness_mm}
     return [
         Issue(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
@@ -115,21 +114,19 @@ def bonded_note(sensor: Sensor, folder: Path | None) -> list[str]:
     """A line on how much of a solid gel is bonded; `folder` as for `check`."""
     if (solid := sensor.gel.solid) is None:
         return []
-    share = bonded_share(solid, assets.mesh_path(solid.file, folder))
+    share = _bonded(solid, assets.mesh_path(solid.file, folder))[0]
     return [f"{share:.0%} of the gel's footprint is bonded to the plate"]
 
 
-def bonded_share(solid: Solid, path: Path) -> float:
-    """Part of a solid's footprint that is bonded [-]; cached until its file changes."""
+def _bonded(solid: Solid, path: Path) -> tuple[float, str]:
+    """Part of a solid's footprint that is bonded [-], and why that is too little; cached until its file changes."""
     state = path.stat()
     how = (math.radians(solid.bonded_deg), solid.bonded_mm)
-    return _bonded_share(path, solid.up, solid.scale, how, state.st_mtime_ns, state.st_size)
+    return _held_by(path, solid.up, solid.scale, how, state.st_mtime_ns, state.st_size)
 
 
 @cache
-def _bonded_share(path: Path, up: Axis, scale: float, how: tuple[float, float | None], *_: int) -> float:
+def _held_by(path: Path, up: Axis, scale: float, how: tuple[float, float | None], *_: int) -> tuple[float, str]:
     from tacgen.geometry import gel, mesh_import
 
-    placed = mesh_import.placed(mesh_import.read(path), up=up, scale=scale)
-    surface = placed.vertices, placed.triangles
-    return gel.bonded_share(*surface, placed.triangles[gel.bonded(*surface, *how)])
+    return gel.held_by(mesh_import.placed(mesh_import.read(path), up=up, scale=scale), *how)

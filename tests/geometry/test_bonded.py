@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from tacgen import cli, pipeline
 from tacgen.bundle import bundle
+from tacgen.errors import UserError
 from tacgen.mechanics import mesh
 from tacgen.recipe import loading, plan, scene_of_row
 
@@ -152,6 +153,17 @@ def test_a_gel_that_is_hardly_held_is_refused(drawn: trimesh.Trimesh, more: str,
         said = done.stderr.splitlines()[0]
         assert "gel.solid: " in said
         assert "of its footprint would be bonded to the plate, and at least half must be" in said
+
+
+def test_every_body_of_a_file_is_held_or_inside_one_that_is(tmp_path: Path) -> None:
+    base, apart = pad(), trimesh.creation.box((2.0, 2.0, 1.0)).apply_translation([0.0, 0.0, 2.0])
+    folder(tmp_path, trimesh.util.concatenate([base, apart]))
+    with pytest.raises(UserError, match=r"gel\.solid: 1 of its 2 bodies would not be bonded to the plate: unite them"):
+        loading.read_sensor(tmp_path / "drawn.yaml")
+    within = trimesh.creation.box((2.0, 2.0, 1.0))
+    within.invert()  # a bubble, which is filled
+    folder(tmp_path, trimesh.util.concatenate([base, within]))
+    assert loading.read_sensor(tmp_path / "drawn.yaml")[0].gel.solid is not None
 
 
 def test_a_height_that_is_named_is_held(tmp_path: Path) -> None:

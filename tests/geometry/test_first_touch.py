@@ -166,3 +166,14 @@ def test_what_can_never_touch_is_refused_before_the_run(tmp_path: Path) -> None:
     assert (done.exit_code, "nothing of the indenter is over the gel" in done.stderr) == (2, True), done.output
     with pytest.raises(UserError, match="nothing of the indenter is over the gel"):
         scene_of_row.build(plan.load(path).rows[0])
+
+
+def test_beside_the_face_of_a_solid_there_is_no_gel() -> None:
+    """A half ball's box has corners; a ball that comes down there touches at the rim of its face."""
+    from tacgen.recipe import assets, loading
+
+    path = assets.sensor_path("tactip")
+    gel = scene_of_row.gel_of(loading.read_sensor(path)[0], path.parent / "tactip_gel.obj")
+    face = first_touch.face_near(gel, np.zeros(2), np.array([20.0, 20.0]), 2.0)
+    assert np.hypot(face[:, 0], face[:, 1]).max() < 17.4
+    assert first_touch.contact_height(SphereSdf(1.0), gel, pose(x=19.5, y=19.5)) == -np.inf
