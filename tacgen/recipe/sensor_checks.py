@@ -100,14 +100,13 @@ def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
         return [Issue(("gel", "solid", "file"), error.lines[0])]
     if gel.solid.sha256 not in (None, sha256 := assets.sha256(path)):
         return [Issue(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(sha256)}")]
-    if loose:
-        return [Issue(("gel", "solid"), loose)]
     said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": gel.thickness_mm}
-    return [
+    wrong = [
         Issue(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
         for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
         if abs(size - value) > SOLID_SIZE_ERROR * value
     ]
+    return wrong or ([Issue(("gel", "solid"), loose)] if loose else [])
 
 
 def bonded_note(sensor: Sensor, folder: Path | None) -> list[str]:
