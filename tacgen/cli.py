@@ -171,7 +171,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, loading, scene_checks
+    from tacgen.recipe import assets, loading, scene_checks, sensor_checks
     from tacgen.sensor import usual_values, yaml_source
 
     path = assets.recipe_path(file)
@@ -180,7 +180,8 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
         sensor, tree = loading.read_sensor(path)
         warn(usual_values.warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
-        for part in usual_values.assumed(sensor) if sensor.base else ():
+        assumed = usual_values.assumed(sensor) if sensor.base else []
+        for part in [*assumed, *sensor_checks.bonded_note(sensor, loading.solid_folder(tree))]:
             typer.echo(f"note: {part}")
         return
     plan = plan_of(file, sets)
@@ -188,7 +189,8 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in [*row.notes, *filter(None, [approach.note(plan.rows)]), *scene_checks.notes(plan.rows)]:
+    bonded = sensor_checks.bonded_note(row.sensor, row.folders.get(("sensor", *loading.SOLID)))
+    for note in [*row.notes, *bonded, *scene_checks.notes(plan.rows)]:
         typer.echo(f"note: {note}")
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from tacgen import array_cache, atomic_file, compiled, mechanics
 from tacgen.bundle import bundle, resume
-from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import as_stored, finite_problem
+from tacgen.geometry.first_touch import closest
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.cost_note import cost_note
 from tacgen.mechanics.expected_error import Expected, FaceGrid
@@ -245,6 +245,7 @@ class Recorder:
         device: str | None,
     ) -> None:
         (row, self.scene, problem), self.clock = solvable, clock
+        self.poses: list[np.ndarray] = []
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
         self.before: mechanics.State | None = None
         with clock.stage("fields"):
@@ -280,12 +281,14 @@ class Recorder:
             if self.on_event:
                 self.on_event({"event": "note", "scene": self.name, "note": note})
 
-    def finish(self, status: Literal["ok", "rejected"], reason: str) -> bundle.Bundle:
-        """Close the bundle; `reason` says why it has not all frames."""
-        late = list(self.pictures.notes) if self.pictures else []
-        if not (reason or self.touched):
-            gap = approach.closest(self.scene.shape, self.scene.gel, self.scene.poses)
-            late += [f"{NO_CONTACT}, closest approach {gap:.3g} mm: check its start or poses, and their unit"]
+    @property
+    def gap(self) -> float:
+        """How close the indenter came to the untouched face [mm]."""
+        return closest(self.scene.shape, self.scene.gel, np.array(self.poses))
+
+    def finish(self, status: Literal["ok", "rejected"], reason: str, notes: Sequence[str]) -> bundle.Bundle:
+        """Close the bundle; `reason` says why it is rejected, or has not all frames."""
+        late = [*(self.pictures.notes if self.pictures else []), *notes]
         self._tell(late)
         return self.writer.finish(status, reason, late, self.pictures.name if self.pictures else None)
 
@@ -294,6 +297,7 @@ class Recorder:
         with self.clock.stage("fields"):
             frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before, held), self.clock))
             self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
+            self.poses.append(state.pose)
             frame["/frames/segment"] = self.scene.segment[state.index]
             error = self.face.error(self.scene.shape, state.pose, self.scene.edge) if self.face else math.nan
             frame["/frames/quality/expected_force_error"] = error
@@ -305,11 +309,12 @@ class Recorder:
 def _made(
     row: Row, path: Path, on_event: OnEvent | None, clock: Clock, solution: SolvedScene | None, device: str | None
 ) -> tuple[Literal["ok", "rejected"], str, int, tuple[bundle.Bundle, ...]]:
-    """Everything between a row of the plan and its bundles, the first of which is `path`: their status, why they have
-    not all frames, how many frames they have, and the bundles."""
+    """Everything between a row of the plan and its bundles, the first of which is `path`: their status and its reason,
+    how many frames they have, and the bundles."""
     gels, frames = _gels(row, clock, solution)
     status: Literal["ok", "rejected"] = "ok"
     reason, done = "", 0
+    notes: list[str] = []
     with ExitStack() as stack:
         places = [path.with_name(f"{each.name}.h5") for each, _, _ in gels]
         recorders = [
@@ -335,7 +340,10 @@ def _made(
             done += 1
             if on_event:
                 on_event({"event": "frame", "scene": row.name, "frame": done, "frames": row.frames})
-        return status, reason, done, tuple(recorder.finish(status, reason) for recorder in recorders)
+        if not reason and not any(recorder.touched for recorder in recorders):
+            fine, said = approach.verdict(row.recipe, min(recorder.gap for recorder in recorders))
+            status, reason, notes = ("ok", "", [said]) if fine else ("rejected", said, [])
+        return status, reason, done, tuple(recorder.finish(status, reason, notes) for recorder in recorders)
 
 
 def _camera(row: Row) -> str:

@@ -409,16 +409,24 @@ def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> Non
     assert not cost_note.cost_note(ball, len(mesh.of(ball).facets["coated"]))
 
 
-def test_a_scene_without_contact_is_reported(recipe: Path, tmp_path: Path) -> None:
-    """As when metres are taken for mm: forces and maps are zero, and the scene is ok."""
-    events: list[dict[str, Any]] = []
+def test_a_scene_without_contact_is_ok_if_it_may_miss_alone(recipe: Path, tmp_path: Path) -> None:
+    """As when metres are taken for mm: forces and maps are zero."""
     sets = ("start.clearance_mm=3", "trajectory=[{slide: {x_mm: 1, frames: 1}}]", "quality.edge_mm=1.2")
-    (done,) = pipeline.run(plan.load(recipe, sets).rows, tmp_path / "out", on_event=events.append)
-    (note,) = (event["note"] for event in events if event["event"] == "note")
-    assert "touches the gel in no frame, closest approach 3 mm" in note
-    assert json.loads(bundle.read(done.path).attrs["notes"]) == [note]
-    (found,) = check(done.path)
-    assert (found.level, found.message) == ("note", note)
+    said = "the indenter touches the gel in no frame: closest approach 3 mm"
+    for may_miss, level in (("false", "rejected"), ("true", "note")):
+        events: list[dict[str, Any]] = []
+        rows = plan.load(recipe, (*sets, f"may_miss={may_miss}")).rows
+        (done,) = pipeline.run(rows, tmp_path / may_miss, on_event=events.append)
+        notes = [event["note"] for event in events if event["event"] == "note"]
+        made = bundle.read(done.path)
+        assert made.frames == 1
+        assert json.loads(made.attrs.get("notes", "[]")) == notes
+        (found,) = check(done.path)
+        assert (found.level, found.message) == (level, done.reason or notes[0])
+        assert found.message.startswith(said)
+        assert ("may_miss: true" in found.message) == (level == "rejected")
+        (kept,) = pipeline.run(rows, tmp_path / may_miss)
+        assert (kept.status, kept.reason, kept.seconds) == (done.status, done.reason, {})
 
 
 @pytest.mark.slow

@@ -55,6 +55,7 @@ def simulate(
     dynamics: Dynamics | None = None,
     render: Render | None = None,
     sensor_overrides: Mapping[str, Any] | None = None,
+    may_miss: bool = False,
     name: str = "simulation",
 ) -> Frames:
     """Move a rigid indenter against the gel of a tactile sensor: the frames, with force, maps, stress and images.
@@ -89,10 +90,11 @@ def simulate(
         dynamics: inertia and damping of the gel; without them every frame is a static equilibrium.
         render: how images are made.
         sensor_overrides: other values in the sensor, such as {"gel.layers[0].youngs_modulus_mpa": 0.2}.
+        may_miss: whether frames are wanted although none touches the gel.
         name: title of the figure, and the name in the bundle's recipe.
 
     Raises:
-        SceneRejected: a frame did not converge; its `frames` are those before it.
+        SceneRejected: a frame did not converge, and its `frames` are those before it; or none touches the gel.
         UserError: an argument is not valid; each line says which and why.
     """
     folder = Folder()
@@ -112,6 +114,7 @@ def simulate(
         "start": start,
         "dynamics": dynamics,
         "render": render,
+        "may_miss": may_miss,
         "uncertainty": {"mesh": True} if uncertainty is True else uncertainty or None,
     }
     if dynamics is not None and dynamics.frame_s is None and any(isinstance(step, np.ndarray) for step in steps):

@@ -112,10 +112,10 @@ class Writer:
         """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end,
         `renderer` the attribute, if it may have changed.
 
-        A scene that ends early has a reason, whether it is ok or rejected.
+        A scene that ends early or is rejected has a reason.
         """
-        whole = self.appended == self.frames
-        if status not in ("ok", "rejected") or bool(reason) == whole or (status == "ok" and not self.appended):
+        unsaid = bool(reason) != (status == "rejected" or self.appended < self.frames)
+        if status not in ("ok", "rejected") or unsaid or (status == "ok" and not self.appended):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
         late: dict[str, Any] = {"status": status, "reason": reason}
         if notes:

@@ -14,6 +14,7 @@ from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import attributes, finite_problem
 from tacgen.errors import UserError
+from tacgen.recipe import approach
 
 MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
 MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
@@ -32,7 +33,7 @@ MISFITS = {  # rows under /frames/quality, and what they mean
 }
 UNIQUE = "/frames/quality/unique"
 FOLDED = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
-NO_CONTACT = "the indenter touches the gel in no frame"  # beginning of a bundle's note
+NO_CONTACT = f"the indenter {approach.NO_CONTACT}"  # beginning of a bundle's note
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
 Seen = dict[tuple[Path, str], str]

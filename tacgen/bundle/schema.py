@@ -26,7 +26,10 @@ ATTRS: dict[str, tuple[type, str]] = {
     "solver": (str, "linear solver, or batch engine and device, and versions"),
     "input_key": (str, "sha256 of all resolved inputs: equal keys, equal bundles"),
     "frames_planned": (int, "frames the trajectory asks for; `status` tells whether all are here"),
-    "status": (str, "`ok`, or `rejected`: the solver gave up and only the frames before that are here"),
+    "status": (
+        str,
+        "`ok`, or `rejected`: the solver gave up and only the frames before that are here, or none touches the gel",
+    ),
     "reason": (str, "why it was rejected, or ended before a fold; empty if all frames are here"),
     "digest": (str, "sha256 over every dataset's path, type, shape, bytes and attributes, and these attributes"),
     "complete": (bool, "true, written last"),
@@ -75,6 +78,7 @@ class StoredMesh(Stored):
     smallest_scaled_jacobian: float
     volume_error: float
     smallest_dihedral_deg: float | None = None
+    bonded_share: float | None = None
 
 
 # Attributes that are JSON, and the types that readers rely on.

@@ -14,6 +14,13 @@ from tacgen.geometry.rasterize import nearest
 Array = np.ndarray
 SHEET_STEP = 0.024  # grid spacing of the interfaces between a solid's layers, over the longer side [-]
 FACE_PIXEL = 0.004  # grid spacing on which overhangs of a solid's face are detected, over the longer side [-]
+SEAM = 0.02  # parts of a solid's back belong together if one begins so little above the highest point of another [mm]
+MIN_BONDED = 0.5  # bonded part of a solid's footprint [-]; a gel that is held by less is askew on its plate, or loose
+LOOSE = (
+    "{:.2g} of its footprint would be bonded to the plate, and at least half must be: does it lie askew, or is its back"
+    " steep or in pieces? Say gel.solid.bonded_deg, or bonded_mm"
+)
+NOISE = np.radians(10)  # of the normals of a mesh's facets [rad]
 
 
 @dataclass(frozen=True)
@@ -95,12 +102,14 @@ class GelBody(Pad):
 class SolidGel(GelBody):
     """A gel of any shape with its highest point at z = 0.
 
-    Bonded up to the height `bonded` [mm] above its lowest point. Coated where the normal is within the angle `coated`
-    [rad] of z; this face must have no overhang, as seen by the camera below.
+    Bonded at its `back`: the part around the lowest point whose normals are within the angle `bonded` [rad] of -z, or,
+    if `held` is given, all up to this height [mm] above the lowest point. Coated where the normal is within the angle
+    `coated` [rad] of z; this face must have no overhang, as seen by the camera below.
     """
 
     solid: mesh_file.SolidMesh | None = None
     bonded: float = 0.0
+    held: float | None = None
     coated: float = 0.0
 
     @property
@@ -115,15 +124,9 @@ class SolidGel(GelBody):
             UserError: there is none, or it has an overhang.
         """
         v, t, _ = self.surface(0, 0)
-        from scipy.sparse import csr_array
-        from scipy.sparse.csgraph import connected_components
-
-        normal = np.cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
-        t = t[self._upward(normal) & (v[t, 2].max(1) > self.bonded - self.thickness)]
+        t = t[_facing(v, t, 1, self.coated) & (v[t, 2].max(1) > (self.held or 0.0) - self.thickness)]
         if len(t):
-            rows = np.repeat(np.arange(len(t)), 3)
-            at_vertices = csr_array((np.ones(t.size), (rows, t.ravel())), shape=(len(t), len(v)))
-            patch = connected_components(at_vertices @ at_vertices.T, directed=False)[1]
+            patch = _connected(t, len(v))
             t = t[patch == patch[v[t, 2].max(1).argmax()]]
         name = self.solid.name if self.solid else "gel"
         if not len(t):
@@ -142,6 +145,21 @@ class SolidGel(GelBody):
             )
         return v, t
 
+    @cached_property
+    def back(self) -> tuple[Array, Array]:
+        """Vertices and triangles of the bonded face. Raises UserError: that is too little."""
+        assert self.solid is not None
+        v, t, _ = self.surface(0, 0)
+        if why := held_by(self.solid, self.bonded, self.held)[1]:
+            raise UserError(f"{self.solid.name}: {why}")
+        return v, t[bonded(v, t, self.bonded, self.held)]
+
+    @cached_property
+    def bonded_share(self) -> float:
+        """Part of the footprint that is bonded [-]."""
+        v, t, _ = self.surface(0, 0)
+        return bonded_share(v, t, self.back[1])
+
     def top(self, x: Array | float, y: Array | float) -> Array:
         """z of the untouched face [mm]; outside its outline that of the nearest point."""
         x, y = np.broadcast_arrays(x, y)
@@ -153,6 +171,11 @@ class SolidGel(GelBody):
         x, y = np.broadcast_arrays(x, y)
         _, beside = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
         return (beside < slack + 1e-9).reshape(x.shape)
+
+    def drawn_in(self, xy: Array) -> Array:
+        """The points (n, 2) of the coated face, as seen from above, that are closest to points (n, 2)."""
+        v, t = self.face
+        return mesh_import.nearest(v * [1.0, 1.0, 0.0], t, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
         """Vertices and triangles of the file; the interfaces between layers extend beyond them on all sides."""
@@ -186,13 +209,91 @@ class SolidGel(GelBody):
         return super().at_height(part, xy)
 
     def patches(self, corners: Array, normals: Array, reach: float) -> dict[str, Array]:
-        bonded = np.all(corners[..., 2] < self.bonded + reach - self.thickness, axis=1)
         centres = corners.mean(1)
-        off = np.linalg.norm(mesh_import.nearest(*self.face, centres) - centres, axis=1)
-        return {"bonded": bonded, "coated": np.logical_and(self._upward(normals) & ~bonded, off < reach)}
 
-    def _upward(self, normals: Array) -> Array:
-        return np.asarray(normals[:, 2] > np.cos(self.coated) * np.linalg.norm(normals, axis=1))
+        def near(face: tuple[Array, Array]) -> Array:
+            return np.asarray(np.linalg.norm(mesh_import.nearest(*face, centres) - centres, axis=1) < reach)
+
+        if self.held is None:
+            held = (-normals[:, 2] > np.cos(min(self.bonded + NOISE, np.pi / 2))) & near(self.back)
+        else:
+            held = np.all(corners[..., 2] < self.held + reach - self.thickness, axis=1)
+        return {"bonded": held, "coated": (normals[:, 2] > np.cos(self.coated)) & ~held & near(self.face)}
+
+
+def bonded(vertices: Array, triangles: Array, angle: float, held: float | None) -> Array:
+    """Which triangles (t,) of a closed surface a plate below it holds, see `SolidGel`.
+
+    Of the connected parts that face down, those that reach the lowest one, or follow on it without a step: a back that
+    a groove divides is held on both sides of it, and the underside of an overhang above is not.
+    """
+    z = vertices[triangles, 2]
+    if held is not None:
+        return np.asarray(z.max(1) <= vertices[:, 2].min() + held + 1e-9)
+    down = np.flatnonzero(_facing(vertices, triangles, -1, angle))
+    if not len(down):
+        return np.zeros(len(triangles), bool)
+    part = _connected(triangles[down], len(vertices))
+    lowest, highest = np.full(part.max() + 1, np.inf), np.full(part.max() + 1, -np.inf)
+    np.minimum.at(lowest, part, z[down].min(1))
+    np.maximum.at(highest, part, z[down].max(1))
+    upward = np.argsort(lowest, kind="stable")
+    reached = np.maximum.accumulate(highest[upward])
+    step = lowest[upward][1:] > reached[:-1] + SEAM
+    ours = upward[: 1 + int(step.argmax())] if step.any() else upward
+    mask = np.zeros(len(triangles), bool)
+    mask[down] = np.isin(part, ours)
+    return mask
+
+
+def held_by(solid: mesh_file.SolidMesh, angle: float, held: float | None) -> tuple[float, str]:
+    """Part of a solid's footprint that is bonded [-], and why that is too little, or ""."""
+    v, t = solid.vertices, solid.triangles
+    ours = bonded(v, t, angle, held)
+    share, bodies = bonded_share(v, t, t[ours]), np.unique(solid.body)
+    if share < MIN_BONDED:
+        return share, LOOSE.format(share)
+    theirs = np.isin(solid.body, solid.body[ours])
+    first = np.array([v[t[solid.body == body][0, 0]] for body in np.setdiff1d(bodies, solid.body[ours])])
+    if len(first) and (loose := int((~mesh_import.inside(v, t[theirs], first)).sum())):
+        return (
+            share,
+            f"{loose} of its {len(bodies)} bodies would not be bonded to the plate: unite them in a mesh editor",
+        )
+    return share, ""
+
+
+def bonded_share(vertices: Array, triangles: Array, held: Array) -> float:
+    """Part of a closed surface's footprint that triangles `held` (s, 3) cover, both seen from the plate [-].
+
+    The footprint's area is that of what faces up, or of its convex hull where overhangs make that smaller.
+    """
+    from scipy.spatial import ConvexHull
+
+    up, below = (_area_upward(vertices, t) for t in (triangles, held))
+    return float(abs(below.sum()) / min(up[up > 0].sum(), ConvexHull(vertices[:, :2]).volume))
+
+
+def _area_upward(v: Array, t: Array) -> Array:
+    """Area (t,) of triangles as seen from above, negative where they face down [mm^2]."""
+    a, b, c = (v[t[:, k], :2] for k in range(3))
+    return np.asarray(((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2)
+
+
+def _facing(v: Array, t: Array, sign: int, angle: float) -> Array:
+    """Which triangles (t,) have normals within an angle [rad] of z times `sign`."""
+    normal = np.cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
+    return np.asarray(sign * normal[:, 2] > np.cos(angle) * np.linalg.norm(normal, axis=1))
+
+
+def _connected(t: Array, vertices: int) -> Array:
+    """The connected part (t,) to which each triangle belongs; those that share a vertex are connected."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    rows = np.repeat(np.arange(len(t)), 3)
+    at_vertices = csr_array((np.ones(t.size), (rows, t.ravel())), shape=(len(t), vertices))
+    return np.asarray(connected_components(at_vertices @ at_vertices.T, directed=False)[1])
 
 
 def _subdivided(rim: Array, step: float) -> Array:

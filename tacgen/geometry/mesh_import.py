@@ -124,11 +124,13 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: 
 
     corners = solid.vertices[ConvexHull(solid.vertices).vertices]
     convex = Convex.of(solid, radius)
-    smallest = convex.smallest(lambda at: at[:, 2] < height)
-    spline = Field.through(
-        distances, origin, cell, smallest_radius=smallest, corners=corners, convex=convex, blunt=True
-    )
-    return exact_edges.sharpened(spline, distances, solid, radius)
+    known = {
+        "smallest_radius": convex.smallest(lambda at: at[:, 2] < height),
+        "corners": corners,
+        "convex": convex,
+        "surface": (solid.vertices, solid.triangles),
+    }
+    return exact_edges.sharpened(Field.through(distances, origin, cell, **known, blunt=True), distances, solid, radius)
 
 
 def refuse_thin_walls(solid: SolidMesh, cell: float, height: float, edge: float) -> None:

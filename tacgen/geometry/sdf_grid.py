@@ -101,8 +101,9 @@ class Field:
     """A rigid indenter given by its signed distance on a grid; fits `analytic_sdf.Shape`.
 
     coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; corners (h, 3) of the
-    body's convex hull [mm]; its `convex` edges. Outside the grid the distance is a lower bound: the surface
-    that can touch the gel must be inside, at least the contact range from the grid's boundary.
+    body's convex hull [mm]; surface: its vertices (n, 3) [mm] and triangles (m, 3), and its `convex` edges, if known.
+    Outside the grid the distance is a lower bound: the surface that can touch the gel must be inside, at least the
+    contact range from the grid's boundary.
     """
 
     coefficients: Array
@@ -111,7 +112,8 @@ class Field:
     smallest_radius: float
     reach: float
     corners: Array
-    convex: Convex | None = None
+    surface: tuple[Array, Array] | None
+    convex: Convex | None
 
     @classmethod
     def through(
@@ -122,6 +124,7 @@ class Field:
         *,
         smallest_radius: float,
         corners: Array,
+        surface: tuple[Array, Array] | None = None,
         convex: Convex | None = None,
         blunt: bool = False,
     ) -> "Field":
@@ -143,7 +146,8 @@ class Field:
                 mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
             smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND * cell)) ** 2))
             spline = smooth * spline + (1 - smooth) * mean
-        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners, convex)
+        more = _half_thickness(d, cell), corners, surface, convex
+        return cls(spline, np.asarray(origin, float), cell, smallest_radius, *more)
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""

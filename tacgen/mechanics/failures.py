@@ -40,6 +40,7 @@ class Failure(StrEnum):
         "the object's balance was not found in {trials} trials; try more frames for this movement, more grip force or"
         " a finer mesh"
     )
+    grasp_loose = "the fingers, {width:.4g} mm apart, do not touch the object; first touch is at {opening:.4g} mm"
     coarser_mesh = "on the coarser mesh that uncertainty asks for: {why}"
 
 

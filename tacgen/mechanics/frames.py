@@ -112,7 +112,7 @@ def trial(
 
 def normal_force(state: State) -> float:
     """Force along z, positive when the gel is pressed down [N]."""
-    return -float(state.traction_force[..., 2].sum())
+    return 0.0 - float(state.traction_force[..., 2].sum())  # without contact not -0
 
 
 def states(scene: Scene, problem: Problem) -> Iterator[State]:

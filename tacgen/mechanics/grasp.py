@@ -9,6 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tacgen.geometry.analytic_sdf import Shape
+from tacgen.geometry.first_touch import contact_height
+from tacgen.geometry.outline import Pad
+from tacgen.geometry.pose import about
 from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
@@ -41,6 +45,29 @@ class GraspScene:
     part: Array
     segment: Array
     fall: float
+
+    @property
+    def apart(self) -> float:
+        """How far each finger stays from the object, if it never comes nearer than first touch; otherwise 0 [mm]."""
+        if np.isfinite(self.force).any():
+            return 0.0
+        return max(float(np.nanmin(self.width)) - self.opening, 0.0) / 2
+
+
+def first_touch(shape: Shape, gels: tuple[Pad, Pad], height: float, y: float, yaw: float) -> tuple[Array, float]:
+    """The object's pose (4, 4) in the gripper's frame and the width [mm] at which both gels just touch it; -inf if one
+    of them has nothing of it in front.
+
+    Args:
+        height, y [mm], yaw [rad]: of the fingers' middle above the object's lowest point, and of the object.
+    """
+    pose = np.eye(4)
+    pose[:3, :3] = about(np.array([0.0, 0.0, 1.0]), yaw)
+    pose[:3, 3] = 0.0, y, -height
+    left, right = (contact_height(shape, gel, seen_from(side, 0.0, pose)) for side, gel in enumerate(gels))
+    if np.isfinite(left + right):
+        pose[0, 3] = (left - right) / 2
+    return pose, left + right
 
 
 def finger(side: int, width: float) -> Array:

@@ -192,7 +192,8 @@ class Frame:
             return self.width
         if math.isnan(self.force) or self.last.grip > 0:
             return self.last.width
-        return self.last.width - 2 * GUESSED * min(problem.thickness for problem in self.problems)
+        touching = min(self.last.width, self.grasp.opening)
+        return touching - 2 * GUESSED * min(problem.thickness for problem in self.problems)
 
     def _trial(self, pose: Array, width: float, near: Trial | None = None) -> Trial:
         """Both gels with the object there, from the last frame's history. Raises NotConverged."""
@@ -255,7 +256,11 @@ class Frame:
             else:
                 A[:, -1] = 0.0
             step = np.linalg.lstsq(A, -r, rcond=UNRESISTED)[0]
-            step *= min(1.0, cap / max(np.abs(step).max(), 1e-300))
+            if not step.any():  # no contact, no tangent: it would stay as it is
+                if lowest < math.inf and not bounded and self.unborne(at) > 0:
+                    return None
+                raise NotConverged(Failure.grasp_loose, width=at.width, opening=self.grasp.opening)
+            step *= min(1.0, cap / np.abs(step).max())
             here, there = self._sunk(at.pose), self._sunk(self._moved(at.pose, free @ step[:-1]))
             if there > lowest:
                 if not bounded:

@@ -13,7 +13,7 @@ from tacgen.errors import UserError
 from tacgen.fem.elements import boxes
 from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
 from tacgen.geometry.analytic_sdf import MAX_SLOPE
-from tacgen.geometry.gel import GelBody
+from tacgen.geometry.gel import GelBody, SolidGel
 from tacgen.geometry.pose import Pose, along, shortest_turn
 from tacgen.mechanics import tet_mesh
 from tacgen.mechanics.scene import Scene
@@ -67,7 +67,8 @@ def quality(gel: GelBody, mesh: GelMesh) -> dict[str, float | int | str]:
     """The quality of a gel's mesh, and its hash."""
     measured = measure(mesh.points, mesh.cells, volume(gel))
     parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))
-    return {**measured.document(), "sha256": array_cache.digest(parts)}
+    held = {"bonded_share": round(gel.bonded_share, 4)} if isinstance(gel, SolidGel) else {}
+    return {**measured.document(), **held, "sha256": array_cache.digest(parts)}
 
 
 @lru_cache(maxsize=2)

@@ -12,6 +12,7 @@ from tacgen.sensor.model import Sensor
 from tacgen.sensor.validation_messages import Issue
 
 OF_GRASP = ("close", "lift")  # movements of a gripper alone
+TOO_CLOSE = "must be above {:.4g}: first touch is at {:.4g} mm"
 MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all movements of a gripper
 
 
@@ -67,7 +68,8 @@ def solid(sensor: Sensor) -> list[Issue]:
 
 
 def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Issue]:
-    """The object needs two sides to close on and a height; the fingers may close by the gels' thickness at most."""
+    """The object needs two sides to close on and a height; from first touch on, the fingers may close by the gels'
+    thickness at most."""
     if (shape := analytic(recipe.indenter)) is None:
         return []
     c, s = math.cos(yaw := math.radians(grasp.yaw_deg)), math.sin(yaw)
@@ -82,10 +84,13 @@ def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Issue]:
         return [Issue(("grasp",), text)]
     if (grasp.height_mm or 0.0) > top:
         return [Issue(("grasp", "height_mm"), f"must be at most the object's height, {top:g}")]
-    wide += shape.support(np.array([-c, s, 0.0]))
-    least = wide - 2 * sensor.gel.thickness_mm
+    from tacgen.mechanics.grasp import first_touch
+
+    gels = sensor.gel.pad, sensor.gel.pad  # as if the other finger's were the same
+    opening = first_touch(shape, gels, grasp.height_mm or top / 2, grasp.y_mm, yaw)[1]
+    least = opening - 2 * sensor.gel.thickness_mm
     return [
-        Issue(("trajectory", i, "close", "width_mm"), f"must be above {least:.4g}: the object is {wide:.4g} mm wide")
+        Issue(("trajectory", i, "close", "width_mm"), TOO_CLOSE.format(least, opening))
         for i, step in enumerate(recipe.trajectory)
         if step.close is not None and step.close.width_mm is not None and step.close.width_mm <= least
     ]

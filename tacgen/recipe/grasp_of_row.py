@@ -6,12 +6,10 @@ See mechanics/grasp.py for the frames.
 import numpy as np
 
 from tacgen.errors import UserError
-from tacgen.geometry.analytic_sdf import Shape
-from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import about
-from tacgen.mechanics.grasp import LOOKS, GraspScene, seen_from
+from tacgen.mechanics.grasp import LOOKS, GraspScene, first_touch, seen_from
 from tacgen.mechanics.scene import Scene
-from tacgen.recipe.path import contact_height
+from tacgen.recipe.grasp_checks import TOO_CLOSE
 from tacgen.recipe.row import Row
 from tacgen.recipe.scene_of_row import gel_of, shape_of
 from tacgen.recipe.trajectory import Close, Lift, Replay, Tilt
@@ -32,14 +30,15 @@ def build(row: Row) -> GraspScene:
     assert row.other is not None
     shape, gels = shape_of(row), (gel_of(row.sensor), gel_of(row.other))
     height = asked.height_mm or shape.support(np.array([0.0, 0.0, 1.0])) / 2
-    start, opening = _first_touch(shape, gels, height, asked.y_mm, float(np.radians(asked.yaw_deg)))
+    start, opening = first_touch(shape, gels, height, asked.y_mm, float(np.radians(asked.yaw_deg)))
+    if not np.isfinite(opening):
+        raise UserError("grasp: nothing of the object is between the fingers: check height_mm and y_mm")
     down = np.array(asked.gravity) / np.linalg.norm(asked.gravity)
     gripper, width, force, part = _path(row, down)
     thin = min(gel.thickness for gel in gels)
     for number, step in enumerate(recipe.trajectory):
         if isinstance(step.move, Close) and (step.move.width_mm or opening) <= opening - 2 * thin:
-            text = f"must be above {opening - 2 * thin:.4g}: first touch is at {opening:.4g} mm"
-            raise UserError(f"trajectory[{number}].close.width_mm: {text}")
+            raise UserError(f"trajectory[{number}].close.width_mm: {TOO_CLOSE.format(opening - 2 * thin, opening)}")
     segment = np.repeat(np.arange(len(recipe.trajectory)), [step.frames for step in recipe.trajectory])
     closed = opening - DEEP * thin if np.isfinite(force).any() else min(np.nanmin(width), opening)
     sunk = max(float(((gripper[0, :3, 3] - gripper[:, :3, 3]) @ down).max()), 0.0)  # if the object stays on the table
@@ -53,18 +52,6 @@ def build(row: Row) -> GraspScene:
     weight, centre = asked.mass_kg * GRAVITY * down, np.array(asked.centre_mm or (0.0, 0.0, height))
     path = (gripper, width, force, part, segment)
     return GraspScene((fingers[0], fingers[1]), start, opening, weight, centre, *path, asked.fall_mm)
-
-
-def _first_touch(
-    shape: Shape, gels: tuple[GelBody, GelBody], height: float, y: float, yaw: float
-) -> tuple[Array, float]:
-    """The object's pose (4, 4) in the gripper's frame and the width [mm] at which both gels just touch it."""
-    pose = np.eye(4)
-    pose[:3, :3] = about(np.array([0.0, 0.0, 1.0]), yaw)
-    pose[:3, 3] = 0.0, y, -height
-    left, right = (contact_height(shape, gel, seen_from(side, 0.0, pose)) for side, gel in enumerate(gels))
-    pose[0, 3] = (left - right) / 2
-    return pose, left + right
 
 
 def _path(row: Row, down: Array) -> tuple[Array, Array, Array, Array]:

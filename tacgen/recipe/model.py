@@ -229,6 +229,7 @@ class Recipe(Part):
     render: Render = Render()
     markers: MarkerMotion = MarkerMotion()
     uncertainty: Uncertainty | None = None
+    may_miss: bool = False  # whether a scene that touches the gel in no frame is ok; if not, it is rejected
     folds: Literal["keep", "end"] = "keep"  # at the first fold, wrinkle or snap: go on, or end the scene before it
     outputs: Outputs
     quality: Annotated[

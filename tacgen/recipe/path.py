@@ -9,7 +9,8 @@ import numpy as np
 
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
-from tacgen.geometry.pose import Pose, shortest_turn
+from tacgen.geometry.first_touch import ON_PLANE, contact_height, least_over, lowest_over
+from tacgen.geometry.pose import shortest_turn
 from tacgen.mechanics.scene import Forced
 from tacgen.recipe import pose_table
 from tacgen.recipe.model import Recipe
@@ -18,6 +19,8 @@ from tacgen.sensor.yaml_source import format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.gel import GelBody
+    from tacgen.geometry.mesh_file import SolidMesh
+    from tacgen.geometry.outline import Pad
 
 Array = np.ndarray
 
@@ -34,38 +37,21 @@ class Path:
     forced: Forced | None
 
 
-def _sink_depth(shape: Shape, pose: Array, gel: "GelBody") -> float:
-    """Distance along z from a shape that stands on z = 0 to first touch of the untouched face [mm].
-
-    Each iteration lowers it by its distance from the face, which cannot overshoot; the search is repeated around the
-    point found, on a grid 20 times as fine.
-    """
-    if gel.flat:
-        return 0.0
-    most = -float(gel.top(np.array(gel.width / 2), np.array(gel.height / 2)))  # depth of the face at the corner
-    sunk, step, middle, half = 0.0, 0.2, np.zeros(2), np.array([gel.width, gel.height]) / 2
-    for _ in range(2):
-        ends = zip(middle - half, middle + half, half, strict=True)
-        x, y = np.meshgrid(*(np.linspace(low, high, 2 * round(h / step) + 1) for low, high, h in ends))
-        here = gel.contains(x, y)
-        face = np.column_stack([x[here], y[here], gel.top(x[here], y[here])])
-        lowered = pose.copy()
-        for _ in range(200):
-            lowered[2, 3] = pose[2, 3] - sunk
-            gap = shape.value(Pose.of(lowered).local(face))
-            nearest = int(np.argmin(gap))
-            sunk += gap[nearest]  # on the finer grid this may be slightly negative
-            if abs(gap[nearest]) < 1e-6 or sunk > most:
-                break
-        middle, half, step = face[nearest, :2], np.array([step, step]), step / 20
-    return min(float(sunk), most)
-
-
-def contact_height(shape: Shape, gel: "GelBody", pose: Array) -> float:
-    """Height of the indenter's origin at first touch of the untouched face, for this rotation and position [mm]."""
-    standing = pose.copy()
-    standing[2, 3] = drop = shape.support(-pose[2, :3])  # extent below its own origin
-    return drop - _sink_depth(shape, standing, gel)
+def sunk_beside(
+    recipe: Recipe, solid: "SolidMesh", pad: "Pad", replayed: Callable[[int], tuple[pose_table.TimedPose, ...]]
+) -> float:
+    """Largest height of an upright solid's lowest point over the pad above its lowest point, along a path [mm]."""
+    rows = [replayed(number) if segment.replay else () for number, segment in enumerate(recipe.trajectory)]
+    walk = Walk.at_start(recipe.start, rows[0], *(lambda _: 0.0,) * 3, thickness=1.0)  # heights do not matter
+    poses = [walk.pose]
+    for number, segment in enumerate(recipe.trajectory):
+        poses += [frame.pose for frame in walk.frames(segment, rows[number], ("trajectory", number))]
+    foot, deepest = solid.vertices[solid.vertices[:, 2] < ON_PLANE], 0.0
+    for pose in poses:
+        if not pad.contains(*(foot @ pose[:3, :3].T + pose[:3, 3])[:, :2].T).any():
+            least = least_over(solid.vertices, solid.triangles, pad, pose) - pose[2, 3]
+            deepest = max(deepest, least if np.isfinite(least) else 0.0)
+    return float(deepest)
 
 
 def indenter_path(
@@ -80,8 +66,8 @@ def indenter_path(
     frames: list[PathFrame] = []
     segments: list[int] = []
     try:
-        contact = partial(contact_height, shape, gel)
-        walk = Walk.at_start(recipe.start, rows[0], shape.support, contact, gel.thickness)
+        contact, over = (partial(height, shape, gel) for height in (contact_height, lowest_over))
+        walk = Walk.at_start(recipe.start, rows[0], shape.support, contact, over, gel.thickness)
         start = walk.pose
         for number, segment in enumerate(recipe.trajectory):
             frames += walk.frames(segment, rows[number], ("trajectory", number, segment.kind))

@@ -1,38 +1,46 @@
-"""What a run would find of a scene before it solves it: the same refusals, and the expected error of the force."""
+"""What a run finds of a scene before it solves it, so that `validate` refuses and tells the same."""
 
 from collections.abc import Sequence
 
 from tacgen.errors import UserError
+from tacgen.recipe import approach
 from tacgen.recipe.row import Row
 
-LOOKED_AT, OF_MESHES = 50, 4  # scenes that are built: some hundredths of a second each, with meshes some seconds
+LOOKED_AT = 50  # scenes that are built: some hundredths of a second each
+MESHES = 3  # of scenes with a mesh from a file: some seconds each
 
 
 def notes(rows: Sequence[Row]) -> list[str]:
-    """The expected error of the first scene's force, and which scenes are not looked at.
+    """Lines about the first scenes: those that touch in no frame, and the expected error of the first one's force.
 
     Raises:
-        UserError: one of the first scenes would be refused when it is run.
+        UserError: a run would refuse one of them.
     """
-    most = OF_MESHES if rows[0].recipe.indenter.shape == "mesh" else LOOKED_AT
-    said = [_note(row, several=len(rows) > 1) for row in rows[:most]]
-    return [note for note in said[:1] if note]
+    looked = rows[: MESHES if rows[0].recipe.indenter.shape == "mesh" else LOOKED_AT]
+    found = []
+    for row in looked:
+        try:
+            found.append(_looked_at(row))
+        except UserError as error:
+            raise UserError(f"{row.name}: {line}" for line in error.lines) from None
+    gaps = [(row, gap) for row, (gap, _) in zip(looked, found, strict=True)]
+    return [line for line in (approach.note(gaps), found[0][1]) if line]
 
 
-def _note(row: Row, *, several: bool) -> str:
+def _looked_at(row: Row) -> tuple[float, str]:
+    """How close a scene comes to contact [mm], 0 if it touches or a force is searched for; and a line on the expected
+    error of its force, "" where that is not known."""
+    from tacgen.geometry.first_touch import closest
     from tacgen.mechanics.expected_error import Expected
     from tacgen.recipe import grasp_of_row, scene_of_row
 
-    try:
-        if row.other is not None:
-            grasp_of_row.build(row)
-            return ""
-        scene = scene_of_row.build(row)
-        if scene.forced is not None or (expected := Expected.of(scene)) is None:
-            return ""
+    if row.other is not None:
+        return grasp_of_row.build(row).apart, ""
+    scene = scene_of_row.build(row)
+    if scene.forced is not None:
+        return 0.0, ""
+    if expected := Expected.of(scene):
         expected.refuse()
-    except UserError as refused:
-        if several:
-            raise UserError(f"{row.name}: {line}" for line in refused.lines) from None
-        raise
-    return expected.note()
+        return 0.0, expected.note()
+    pressed = any(step.press for step in row.recipe.trajectory)
+    return 0.0 if pressed else closest(scene.shape, scene.gel, scene.poses), ""

@@ -16,7 +16,7 @@ from tacgen.recipe import indenters, trajectory
 from tacgen.recipe.checks import timed
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.path import Path as IndenterPath
-from tacgen.recipe.path import indenter_path
+from tacgen.recipe.path import indenter_path, sunk_beside
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
 
@@ -24,12 +24,10 @@ Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3
 MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
 SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]
-OPENED = (
-    0.75  # radius of a mesh's sharp edges over dhat [-]: the mean gap of a light press, by which contact shrinks it
-)
+OPENED = 0.75  # radius of a mesh's sharp edges over dhat [-]: the mean gap of a light press, which contact takes off
 
 
-def _reach_of_gel(row: Row) -> tuple[float, float]:
+def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh | None = None) -> tuple[float, float]:
     """Region of the indenter that the gel can reach: distance from its z axis, height above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
@@ -39,7 +37,10 @@ def _reach_of_gel(row: Row) -> tuple[float, float]:
     rise = gel.thickness_mm + 1.0  # [mm] largest depth, and gel bulging beside it
     diagonal = float(np.hypot(gel.width_mm, gel.height_mm))
     aside = max((float(np.hypot(*(pose[:3, :2].T @ pose[:3, 3]))) for pose in poses), default=0.0)  # pad's centre
-    return max(diagonal + 1.0, aside + diagonal / 2 + rise), np.inf if tilted else rise
+    half = max(diagonal + 1.0, aside + diagonal / 2 + rise)
+    if tilted or solid is None:
+        return half, np.inf if tilted else rise
+    return half, rise + sunk_beside(row.recipe, solid, gel.pad, row.replayed)
 
 
 def _solid(i: indenters.Mesh, row: Row) -> mesh_file.SolidMesh:
@@ -52,9 +53,9 @@ def shape_of(row: Row) -> Shape:
     if (shape := indenters.analytic(indenter)) is not None:
         return shape
     assert indenter.shape == "mesh"
-    (half, height), quality = _reach_of_gel(row), row.recipe.resolved()
-    edge, dhat = quality.edge_mm, quality.dhat_mm
     solid = _solid(indenter, row)
+    (half, height), quality = _reach_of_gel(row, solid), row.recipe.resolved()
+    edge, dhat = quality.edge_mm, quality.dhat_mm
     grid = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half, radius=OPENED * dhat)
     if row.recipe.contact.formulation == "distance":
         mesh_import.refuse_thin_walls(solid, grid.cell, height, edge)
@@ -70,9 +71,9 @@ def _surface(row: Row, shape: Shape) -> Triangles | None:
     indenter, quality = row.recipe.indenter, row.recipe.resolved()
     if row.recipe.contact.formulation != "ipctk":
         return None
-    half, height = _reach_of_gel(row)
-    if indenter.shape == "mesh":
-        solid = _solid(indenter, row)
+    solid = _solid(indenter, row) if indenter.shape == "mesh" else None
+    half, height = _reach_of_gel(row, solid)
+    if solid is not None:
         return surface_nets.of_mesh(solid.vertices, solid.triangles, height=height, spacing=quality.edge_mm / 4)
     height = min(height, 2 * half)  # a tilted shape without end
     return surface_nets.of_shape(shape, half=half, height=height, tolerance=quality.dhat_mm / 10)
@@ -88,8 +89,9 @@ def gel_of(sensor: Sensor, solid_path: Path | None = None) -> GelBody:
     g = sensor.gel
     if g.solid is not None and solid_path is not None:
         solid = mesh_import.placed(mesh_file.read(solid_path), up=g.solid.up, scale=g.solid.scale)
-        held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
-        return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=held[0], coated=held[1])
+        bonded, coated = (float(np.radians(angle)) for angle in (g.solid.bonded_deg, g.solid.coated_deg))
+        made = SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=bonded, coated=coated)
+        return replace(made, held=g.solid.bonded_mm)
     return GelBody(**vars(g.pad), layers=tuple(layers))
 
 

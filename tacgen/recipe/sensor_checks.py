@@ -1,12 +1,15 @@
 """Checks of a sensor alone: contradictions in its file."""
 
+import math
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, sensor_base
 from tacgen.sensor import optics_checks
-from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor
+from tacgen.sensor.base_model import Axis
+from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor, Solid
 from tacgen.sensor.validation_messages import Issue, needs, validate
 
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
@@ -78,7 +81,7 @@ def _seen(sensor: Sensor) -> list[Issue]:
 
 
 def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
-    """The file must exist, have the right hash, be closed, and have the size that the sensor file says."""
+    """The file must exist, have the right hash, be closed, be bonded, and have the size that the sensor file says."""
     if gel.solid is None:
         return []
     excluded = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
@@ -92,14 +95,37 @@ def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
 
     try:
         path = assets.mesh_path(gel.solid.file, folder)
-        sizes = mesh_import.sizes(path, gel.solid.up, gel.solid.scale)
+        sizes, loose = mesh_import.sizes(path, gel.solid.up, gel.solid.scale), _bonded(gel.solid, path)[1]
     except UserError as error:
         return [Issue(("gel", "solid", "file"), error.lines[0])]
     if gel.solid.sha256 not in (None, sha256 := assets.sha256(path)):
         return [Issue(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(sha256)}")]
     said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": gel.thickness_mm}
-    return [
+    wrong = [
         Issue(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
         for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
         if abs(size - value) > SOLID_SIZE_ERROR * value
     ]
+    return wrong or ([Issue(("gel", "solid"), loose)] if loose else [])
+
+
+def bonded_note(sensor: Sensor, folder: Path | None) -> list[str]:
+    """A line on how much of a solid gel is bonded; `folder` as for `check`."""
+    if (solid := sensor.gel.solid) is None:
+        return []
+    share = _bonded(solid, assets.mesh_path(solid.file, folder))[0]
+    return [f"{share:.0%} of the gel's footprint is bonded to the plate"]
+
+
+def _bonded(solid: Solid, path: Path) -> tuple[float, str]:
+    """Part of a solid's footprint that is bonded [-], and why that is too little; cached until its file changes."""
+    state = path.stat()
+    how = (math.radians(solid.bonded_deg), solid.bonded_mm)
+    return _held_by(path, solid.up, solid.scale, how, state.st_mtime_ns, state.st_size)
+
+
+@cache
+def _held_by(path: Path, up: Axis, scale: float, how: tuple[float, float | None], *_: int) -> tuple[float, str]:
+    from tacgen.geometry import gel, mesh_file, mesh_import
+
+    return gel.held_by(mesh_import.placed(mesh_file.read(path), up=up, scale=scale), *how)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,6 +74,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
     import numpy as np
 
     from tacgen.geometry.analytic_sdf import lowest
+    from tacgen.geometry.first_touch import contact_height
     from tacgen.recipe.trajectory_poses import TrajectoryError, Walk
 
     def rows(i: int) -> tuple[TimedPose, ...]:
@@ -101,8 +103,12 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             path = ("start",)  # in a rounded corner: neither coordinate alone is wrong
         raise TrajectoryError(path, f"the indenter would start beside {pad}, at ({start.x_mm:g}, {start.y_mm:g})")
     support = shape.support if shape else _unknown_support
-    table = rows(0)
-    walk = Walk.at_start(start, table, support, lambda pose: support(-pose[2, :3]), thickness)
+    table, level = rows(0), replace(gel.pad, radii=(np.inf, np.inf))
+
+    def contact(pose: "Array") -> float:
+        return contact_height(shape, level, pose) if shape else support(-pose[2, :3])
+
+    walk = Walk.at_start(start, table, support, contact, lambda pose: float(pose[2, 3]) - contact(pose), thickness)
     for i, segment in enumerate(recipe.trajectory):
         move, where = segment.move, ("trajectory", i, segment.kind)
         if isinstance(move, Press) and (move.depth_mm or 0.0) >= thickness:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.geometry.analytic_sdf import lowest
+from tacgen.geometry.first_touch import ON_PLANE
 from tacgen.geometry.pose import about
 from tacgen.mechanics.scene import FORCE_DEPTH
 from tacgen.recipe.pose_table import TimedPose
@@ -19,6 +20,7 @@ Array = np.ndarray
 GUESSED_DEPTH = 0.1  # first guess of the depth in the search for a force, over the gel's thickness [-]
 FLANK = "the indenter's flank would meet the gel before its tip"
 BASE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"
+BESIDE = "nothing of the indenter is over the gel, so that it would never touch it"
 EDGE = "would turn the indenter's edge to the base of the gel, or below"
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -54,13 +56,14 @@ class Walk:
     """The state of a trajectory between two frames.
 
     support: the indenter's support function of a unit vector (3,) in its own frame [mm]; contact: height of its origin
-    at first touch of the untouched face, for the rotation and place of a pose (4, 4) [mm]; thickness of the gel [mm];
-    start: pose before the first movement; home: height to which a release returns [mm]; carry: see Forced in
-    scene.path.
+    at first touch of the untouched face, for the rotation and place of a pose (4, 4) [mm], -inf if it is beside it;
+    over: z of its lowest point over the gel's outline at a pose [mm]; thickness of the gel [mm]; start: pose before the
+    first movement; home: height to which a release returns [mm]; carry: see Forced in scene.path.
     """
 
     support: Callable[[Array], float]
     contact: Callable[[Array], float]
+    over: Callable[[Array], float]
     thickness: float
     start: Array
     pose: Array
@@ -74,6 +77,7 @@ class Walk:
         rows: Sequence[TimedPose],
         support: Callable[[Array], float],
         contact: Callable[[Array], float],
+        over: Callable[[Array], float],
         thickness: float,
     ) -> "Walk":
         """The start; if a replay comes first, the pose of its first row, lifted to first touch if it is in the gel.
@@ -84,15 +88,15 @@ class Walk:
         if rows:
             pose = rows[0].pose.copy()
             pose[2, 3] = max(pose[2, 3], contact(pose))
-            return cls(support, contact, thickness, pose, pose, float(pose[2, 3]))
+            return cls(support, contact, over, thickness, pose, pose, float(pose[2, 3]))
         pose = np.eye(4)
         tilt = about(_level(start.tilt_axis_deg), float(np.radians(start.tilt_deg)))
         pose[:3, :3] = tilt @ about(Z, float(np.radians(start.yaw_deg)))
         pose[:2, 3] = start.x_mm, start.y_mm
-        if math.isinf(support(-pose[2, :3])):
+        if math.isinf(stands := support(-pose[2, :3])):
             raise TrajectoryError(("start", "tilt_deg"), FLANK)
-        pose[2, 3] = start.clearance_mm + contact(pose)
-        return cls(support, contact, thickness, pose, pose, float(pose[2, 3]))
+        pose[2, 3] = start.clearance_mm + (touches if math.isfinite(touches := contact(pose)) else stands)
+        return cls(support, contact, over, thickness, pose, pose, float(pose[2, 3]))
 
     def frames(
         self, segment: Segment, rows: Sequence[TimedPose], where: KeyPath, *, checking: bool = False
@@ -118,6 +122,8 @@ class Walk:
                 pivot = first[:3, :3] @ self.pivot
         force = getattr(move, "force_n", None)
         contact = self.contact(first) if isinstance(move, Press) or force else np.nan
+        if math.isinf(contact):
+            raise TrajectoryError(where, BESIDE)
         floor = contact - FORCE_DEPTH * self.thickness
         straight = checking and not isinstance(move, Twist | Tilt)
         for k in range(move.frames if straight else 1, move.frames + 1):
@@ -159,9 +165,12 @@ class Walk:
         """The point (3,) of the indenter, in its own frame, that is lowest at the start [mm].
 
         Tilts turn about it wherever it has moved since: about the point that is lowest before each of them, a tilt and
-        its inverse would be turns about two points, and would not return.
+        its inverse would be turns about two points, and would not return. If it is beside the gel, they turn about the
+        point on the axis at the height of the lowest one over the gel.
         """
-        rotation = self.start[:3, :3]
+        rotation, z = self.start[:3, :3], float(self.start[2, 3])
+        if math.isfinite(over := self.over(self.start)) and over > z - self.support(-rotation[2]) + ON_PLANE:
+            return np.asarray(rotation.T @ [0.0, 0.0, over - z])
         return np.asarray(rotation.T @ lowest(self.support, rotation))
 
     @property
@@ -173,4 +182,5 @@ class Walk:
         """Why the pose is impossible, or None; `at_base` is the message for a lowest point at the base of the gel."""
         if math.isinf(low := self.low):
             return FLANK
-        return at_base.format(low) if low <= -self.thickness else None
+        at_base_there = low <= -self.thickness and self.over(self.pose) <= -self.thickness
+        return at_base.format(low) if at_base_there else None

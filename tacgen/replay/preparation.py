@@ -83,7 +83,8 @@ def prepare(
     source = recipe if base == assets.folder("recipes") / f"{recipe}.yaml" else str(base.resolve())
     start = {"start": Start().model_dump()} if "start" in tree.data else {}
     left = tuple(text for text in sets if not text.strip().startswith(WRITTEN))
-    files[RECIPE] = written_recipe.text(source, left, move, list(files), start | up | extra)
+    grazes = {"may_miss": True}  # a log whose closest row may touch nothing
+    files[RECIPE] = written_recipe.text(source, left, move, list(files), start | up | extra | grazes)
     written_recipe.write(files, out, [base, *paths], overwrite)
     return Prepared(out / RECIPE, template.sensor_pose, tuple(touching), left, tuple(notes))
 

@@ -7,9 +7,10 @@ import numpy as np
 
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
+from tacgen.geometry.first_touch import closest
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
-from tacgen.recipe import approach, assets, indenters, pose_table
+from tacgen.recipe import assets, indenters, pose_table
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Placement
@@ -167,7 +168,7 @@ def runs(near: Array, touching: Array, every: int) -> Array:
 def least(body: RecordedBody, gel: GelBody, gap: float, pose: Array) -> float:
     """The distance [mm] of the object from the untouched face at a pose (4, 4), given the `gap` that `gaps` found."""
     shape = indenters.analytic(body.indenter)
-    return gap if gap <= 0 or shape is None else approach.closest(shape, gel, pose[None])
+    return gap if gap <= 0 or shape is None else closest(shape, gel, pose[None])
 
 
 def _face(gel: GelBody) -> Array:

@@ -123,6 +123,8 @@ def _mesh(quality: dict[str, Any]) -> str:
     if "smallest_dihedral_deg" in quality:
         words.append(f"smallest angle {quality['smallest_dihedral_deg']:.0f} deg")
     words.append(f"scaled Jacobian {quality['smallest_scaled_jacobian']:.2f}")
+    if "bonded_share" in quality:
+        words.append(f"{quality['bonded_share']:.0%} of its footprint bonded")
     return ", ".join([*words, f"volume {100 * quality['volume_error']:+.2f} %"])
 
 

@@ -70,8 +70,10 @@ class Solid(Part):
     """Which axis of the file points out of the gel."""
     scale: Positive = 1.0
     """Millimetres per unit of the file."""
-    bonded_mm: NotNegative = 0.02
-    """The surface up to this height above its lowest point is bonded."""
+    bonded_deg: Annotated[float, Field(gt=0, lt=90)] = 30.0
+    """Bonded: the part around the lowest point whose normals are within this angle of -z."""
+    bonded_mm: NotNegative | None = None
+    """Bonded instead: all of the surface up to this height above its lowest point."""
     coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0
     """Coated: normals within this angle of z."""
     sha256: Sha256 | None = None

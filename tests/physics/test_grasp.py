@@ -1,9 +1,11 @@
 """A grasp: both fingers and the weight balance in the world frame, and the object slips where the closed form says."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.flanged_rod import flanged
 
 from tacgen import pipeline
 from tacgen.bundle.bundle import Bundle, read
@@ -11,9 +13,10 @@ from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
 from tacgen.geometry.pose import about
-from tacgen.mechanics.grasp_balance import Held, Mode, held, problem_of
+from tacgen.mechanics.failures import NotConverged
+from tacgen.mechanics.grasp_balance import Frame, Held, Mode, Trial, held, problem_of
 from tacgen.recipe import grasp_of_row as two_fingers
-from tacgen.recipe import plan
+from tacgen.recipe import plan, scene_checks
 from tacgen.recipe.row import Row
 
 Array = np.ndarray
@@ -194,3 +197,41 @@ def test_a_grasp_that_cannot_be_reached_says_so_in_both_bundles(
 def test_fingers_do_not_close_through_the_gels(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"trajectory\[0\].close.width_mm: must be above"):
         two_fingers.build(planned(tmp_path, BALL, "close: {width_mm: 1, frames: 1}"))
+
+
+def test_fingers_that_touch_nothing_stop_at_once() -> None:
+    """Without contact there is no tangent: 40 trials were the same."""
+    frame = object.__new__(Frame)
+    frame.problems, frame.force, frame.tol, frame.balanced = (SimpleNamespace(edge=1.0),) * 2, 1.0, 1e-3, 1e-3
+    frame.load, frame.scale, frame.grasp = np.zeros(6), np.ones(6), SimpleNamespace(opening=21.5)
+    frame.heaviness, frame.down = 1.0, np.array([0.0, 0.0, -1.0])
+    frame._tangent = lambda at: np.zeros((7, 7))  # type: ignore[method-assign]
+    frame._trial = lambda *_: pytest.fail("tried")  # type: ignore[method-assign]
+    apart = Trial(np.eye(4), 34.8, (), np.zeros(6), 0.0)
+    with pytest.raises(NotConverged, match=r"the fingers, 34.8 mm apart, do not touch the object; .* at 21.5 mm"):
+        frame._newton(apart, Mode.standing)
+
+
+def test_a_force_is_looked_for_where_the_object_is() -> None:
+    """Fingers that were opened wide begin at first touch."""
+    frame = object.__new__(Frame)
+    frame.problems, frame.force, frame.width = (SimpleNamespace(thickness=4.0),) * 2, 1.0, np.nan
+    frame.grasp = SimpleNamespace(opening=21.5)
+    frame.last = Trial(np.eye(4), 40.0, (), np.zeros(6), 0.0)
+    assert frame._first_width() == pytest.approx(21.5 - 0.8)
+
+
+def test_an_object_is_held_where_it_is_between_the_pads(tmp_path: Path) -> None:
+    """A rod gripped at its middle, with flanges beyond the pads; first touch was that of the flanges."""
+    flanged().export(tmp_path / "rod.stl")
+    text = f"""{HEAD}indenter: {{shape: mesh, file: rod.stl, up: "-x"}}
+grasp: {{mass_kg: 0.05, height_mm: 30}}
+"""
+    grasp = two_fingers.build(planned(tmp_path, text, "close: {force_n: 1, frames: 1}"))
+    assert grasp.opening == pytest.approx(8.0, abs=1e-6)
+    beside = text.replace("height_mm: 30", "height_mm: 30, y_mm: 40")
+    with pytest.raises(UserError, match="grasp: nothing of the object is between the fingers"):
+        two_fingers.build(planned(tmp_path, beside, "close: {force_n: 1, frames: 1}"))
+    apart = planned(tmp_path, BALL, "close: {width_mm: 12, frames: 1}")
+    (note,) = scene_checks.notes([apart])
+    assert note.startswith("scene-00000 touches the gel in no frame: closest approach 1 mm")

@@ -55,7 +55,7 @@ def test_an_ordinary_scene_is_its_own_bundle(tmp_path: Path) -> None:
         (["contact.formulation=ipctk"], "must be distance in a grasp"),
         (["indenter={shape: box, size_x_mm: 8, size_y_mm: 8}"], "grasp: must say at which height"),
         (["indenter={shape: cone, half_angle_deg: 30, tip_radius_mm: 1}"], "indenter: has no upright sides"),
-        (["trajectory=[close: {width_mm: 2, frames: 1}]"], "width_mm: must be above 2: the object is 10 mm wide"),
+        (["trajectory=[close: {width_mm: 2, frames: 1}]"], "width_mm: must be above 2: first touch is at 10 mm"),
         (["trajectory=[close: {width_mm: 9, frames: 1}, replay: {file: no.csv}]"], "no.csv"),
         (["grasp.height_mm=11"], "grasp.height_mm: must be at most the object's height, 10"),
         (["grasp.gravity=[0, 0, 0]"], "grasp.gravity: must be a direction"),

@@ -236,7 +236,7 @@ def test_a_closed_path_of_movements_returns_to_its_pose(
         return shape.support(-pose[2, :3])
 
     start = Start(tilt_deg=lean, tilt_axis_deg=30, yaw_deg=yaw, x_mm=0.3)
-    walk = trajectory_poses.Walk.at_start(start, (), shape.support, contact, 50.0)
+    walk = trajectory_poses.Walk.at_start(start, (), shape.support, contact, lambda _: 0.0, 50.0)
 
     def go(kind: str, *numbers: float) -> None:
         step = Segment.model_validate({kind: dict(zip(KEYS[kind], numbers, strict=True)) | {"frames": 2}})
