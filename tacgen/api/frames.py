@@ -54,6 +54,7 @@ class Frames:
     Attributes:
         force: force on the gel, (N, 3) [N].
         force_std: standard deviation of the force, (N, 3) [N]; with `uncertainty`.
+        normal_force, friction_force: its parts by pressure and by friction, (N, 3) [N]; with friction.
         torque: torque on the gel about the sensor origin, (N, 3) [N mm].
         pose: pose of the indenter in the sensor frame, (N, 4, 4) [mm].
         pressure: pressure normal to the deformed face, (N, h, w) [MPa].
@@ -118,6 +119,8 @@ class Frames:
 
     force: Array
     force_std: Array
+    normal_force: Array
+    friction_force: Array
     torque: Array
     pose: Array
     pressure: Array
