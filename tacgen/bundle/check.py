@@ -1,5 +1,6 @@
 """Checks of finished bundles: complete, in the right layout, finite, in range, and physically possible."""
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from tacgen import atomic_file
-from tacgen.bundle import dataset
+from tacgen.bundle import dataset, kept_files
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import attributes, finite_problem
 from tacgen.errors import UserError
-from tacgen.sensor.yaml_source import KeyPath, at, describe, parents_first, parse_path, put
+from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parents_first, parse_path, put
 
 MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
 MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
@@ -240,6 +241,14 @@ def _values(bundle: Bundle) -> Iterator[str]:
             yield _told(name, values[name], at(document, path))
 
 
+def _files(bundle: Bundle) -> Iterator[str]:
+    """Files in the bundle are those whose hashes the recipe gives."""
+    for where, content in kept_files.contents(bundle).items():
+        named = *where[:-1], "sha256"
+        if at(bundle.recipe, named) != hashlib.sha256(content).hexdigest():
+            yield f"/files/{format_path(where)} is not the file of the recipe's {format_path(named)}"
+
+
 def _told(name: str, value: Any, found: Any) -> str:
     return f"{name} is {describe(value)} among its values, and {describe(found)} in its recipe"
 
@@ -286,7 +295,7 @@ def _folds(bundle: Bundle) -> Iterator[str]:
 
 
 Rule = Callable[[Bundle], Iterator[str]]
-RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers, _values)
+RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers, _values, _files)
 NOTES: tuple[Rule, ...] = (_maps, _contact, _folds)
 
 

@@ -111,7 +111,7 @@ def share_above(values: Array) -> Array:
     a, b, c = np.sort(values, axis=1).T
     cut = np.where(b > 0, np.minimum(a, 0.0), np.maximum(c, 0.0)) ** 2  # the corner that is cut off, at a or at c
     part = np.divide(cut, (c - a) * np.where(b > 0, b - a, c - b), out=np.zeros(len(cut)), where=cut > 0)
-    return np.where(b > 0, 1 - part, part)
+    return np.asarray(np.where(b > 0, 1 - part, part))
 
 
 def friction_used(arm: Array, normal: Array, most: Array, friction: Array) -> float:
