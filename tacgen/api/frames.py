@@ -46,7 +46,8 @@ class Frames:
     Attributes:
         force: force on the gel, (N, 3) [N].
         force_std: standard deviation of the force, (N, 3) [N]; with `uncertainty`.
-        normal_force, friction_force: its parts by pressure and by friction, (N, 3) [N]; with friction.
+        normal_force: part of the force by pressure, (N, 3) [N]; with friction.
+        friction_force: part of the force by friction, (N, 3) [N]; with friction.
         torque: torque on the gel about the sensor origin, (N, 3) [N mm].
         pose: pose of the indenter in the sensor frame, (N, 4, 4) [mm].
         pressure: pressure normal to the deformed face, (N, h, w) [MPa].
@@ -56,8 +57,8 @@ class Frames:
         height: z of the deformed face, (N, h, w) [mm]; nan where a pixel shows no gel.
         normals: unit normal of the deformed face, (N, h, w, 3) [1].
         force_map: force on the gel behind each sample, (N, h, w, 3) [N].
-        x_mm, y_mm: where the samples of all maps lie on the untouched face, in the sensor frame, (h, w) [mm]; nan where
-            a pixel shows no gel.
+        x_mm: x in the sensor frame of the untouched face behind each sample of a map, (h, w) [mm]; nan beside the gel.
+        y_mm: y in the sensor frame of the untouched face behind each sample of a map, (h, w) [mm]; nan beside the gel.
         displacement: nodal displacement, (N, n, 3) [mm].
         stress: Cauchy stress at the nodes, xx yy zz yz xz xy, (N, n, 6) [MPa].
         markers: marker centres in the image, (N, M, 2) [px].
@@ -108,8 +109,14 @@ class Frames:
                 raise AttributeError(str(error)) from None
 
     def __dir__(self) -> list[str]:
-        plain = [name for name in self.names if name.isidentifier()]
-        return sorted({*super().__dir__(), *plain, *(each for each, name in ALIASES.items() if name in self.names)})
+        plain, known = [name for name in self.names if name.isidentifier()], self.bundle.shapes.keys()
+        return sorted(
+            {
+                *super().__dir__(),
+                *plain,
+                *(each for each, name in ALIASES.items() if {name, f"/frames/{name}", f"/fields/{name}"} & known),
+            }
+        )
 
     force: Array
     force_std: Array

@@ -9,7 +9,7 @@ import re
 import shutil
 import weakref
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -18,9 +18,11 @@ import numpy as np
 
 from tacgen import regular_file
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
 from tacgen.recipe.row import Row
+from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import KeyPath, Tree, at, format_path, put
 
 LARGEST = 16 * 2**20  # [bytes], a binary STL of 330 000 triangles
@@ -69,7 +71,7 @@ def of(row: Row) -> dict[str, np.ndarray]:
 
 
 def note(row: Row) -> str:
-    """What a reader should know of files that are too large to be kept; empty if there are none."""
+    """The note on files that are too large to be kept; empty if there are none."""
     names = [path.name for _, path in _files(row) if path.stat().st_size >= LARGEST]
     text = f"{', '.join(names)} is larger than {LARGEST / 1e6:.2g} MB and not in the bundle: keep it beside the bundle"
     return text if names else ""
@@ -93,18 +95,22 @@ def runnable(bundle: Bundle) -> dict[str, Any]:
         recipe = put(recipe, where, str(path))
     held = json.loads(bundle.attrs.get("sensor_document", "{}"))
     file = at(held, ("gel", "solid", "file"))
-    if held and "finger" not in bundle.attrs and (file is None or Path(file).is_absolute()) and not _is_named(bundle):
+    named = str(recipe.get("sensor")), json.dumps(recipe.get("sensor_overrides", {})), json.dumps(held)
+    if held and "finger" not in bundle.attrs and (file is None or Path(file).is_absolute()) and not _gives(*named):
         copy = _copy(f"{held['name']}.yaml", json.dumps(held).encode())
         recipe = {**recipe, "sensor": str(copy), "sensor_overrides": {}}
     return dict(recipe)
 
 
-def _is_named(bundle: Bundle) -> bool:
-    """Whether the sensor of a bundle is the one that its recipe names."""
+@lru_cache(maxsize=64)
+def _gives(name: str, overrides: str, document: str) -> bool:
+    """Whether the file of a sensor, with these overrides (JSON), gives this sensor (JSON)."""
     try:
-        sensor, _, wrong = loading.named_sensor(Tree(bundle.recipe), images=False)
-        return not wrong and sensor == bundle.sensor
-    except UserError:
+        found, _, wrong = loading.named_sensor(
+            Tree({"sensor": name, "sensor_overrides": json.loads(overrides)}), images=False
+        )
+        return not wrong and found == parsed(Sensor, document)
+    except (UserError, ValueError):
         return False
 
 
