@@ -88,22 +88,22 @@ def touched(faces: "Faces", x: Array, on: Array) -> tuple[float, int]:
 
     touching, around = faces.shared(np.stack([faces.areas * on, faces.areas], -1), len(x)).T
     above = np.divide(touching, around, out=np.zeros(len(x)), where=around > 0) - RIM_SHARE
-    drawn, area = triangles(faces.conn), facet_areas(x, faces.conn)[0]
+    drawn, stretch = triangles(faces.conn), facet_areas(x, faces.conn)[0].sum(1) / faces.areas.sum(1)
     if faces.conn.shape[1] == 4:  # around their middles, which no diagonal favours
         x, above = (np.concatenate([each, each[faces.conn].mean(1)]) for each in (x, above))
-        middle = np.arange(len(x) - len(area), len(x))
+        middle = np.arange(len(x) - len(stretch), len(x))
         drawn = np.concatenate([np.column_stack([faces.conn[:, [k - 1, k]], middle]) for k in range(4)])
-    inside, whole = above >= 0, float(area[on].sum())
+    inside, area = above >= 0, float(stretch @ (faces.areas * on).sum(1))
     if inside.any():
         corner = x[drawn]
         sizes = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
-        whole = float(sizes @ share_above(above[drawn]))
+        area = float(sizes @ share_above(above[drawn]))
     else:
         inside[faces.conn[on.any(1)]] = True
     ends = np.concatenate([drawn[:, [k - 1, k]] for k in range(3)])
     ends = ends[inside[ends].all(1)]
     graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(len(x), len(x)))
-    return whole, len(np.unique(connected_components(graph, directed=False)[1][inside]))
+    return area, len(np.unique(connected_components(graph, directed=False)[1][inside]))
 
 
 def share_above(values: Array) -> Array:

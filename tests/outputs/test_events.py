@@ -106,7 +106,8 @@ def test_events_are_those_of_all_of_the_face_whatever_the_camera_sees(tmp_path: 
             assert np.array_equal(other[name], values), name
 
 
-def test_area_and_patches_of_a_face_are_those_of_what_touches_it() -> None:
+@pytest.mark.parametrize("along", [2, 3])
+def test_area_and_patches_of_a_face_are_those_of_what_touches_it(along: int) -> None:
     """Two squares and the corner between them, on a level grid whose cells are 0.5 mm wide; and a single point."""
     n = 12
     points = np.stack(
@@ -114,7 +115,7 @@ def test_area_and_patches_of_a_face_are_those_of_what_touches_it() -> None:
     )
     number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
     conn = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1).reshape(-1, 4)
-    faces = Faces.on(None, points.reshape(-1, 3), conn)
+    faces = Faces.on(None, points.reshape(-1, 3), conn, along)
     x, y, _ = faces.at(points.reshape(-1, 3)).transpose(2, 0, 1)
     two = ((x < 2) & (y < 2)) | ((x > 4) & (y > 3))
     area, patches = touched(faces, points.reshape(-1, 3), two)
@@ -125,7 +126,9 @@ def test_area_and_patches_of_a_face_are_those_of_what_touches_it() -> None:
     assert touched(faces, points.reshape(-1, 3), np.ones_like(two)) == (pytest.approx(36), 1)
     one = np.zeros_like(two)
     one[50, 2] = True
-    assert touched(faces, points.reshape(-1, 3), one) == (pytest.approx(0.25 / 4), 1), "a tip that presses touches"
+    assert touched(faces, points.reshape(-1, 3), one) == (pytest.approx(faces.areas[50, 2]), 1), (
+        "a tip that presses touches"
+    )
     assert touched(faces, points.reshape(-1, 3), np.zeros_like(two)) == (0.0, 0)
 
 
