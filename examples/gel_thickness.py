@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 import tacgen
 
@@ -17,7 +18,10 @@ def main(folder: Path, quality: object = "draft") -> None:
         gel = tacgen.Gel(width_mm=16, height_mm=16, layers=(silicone,))
         press = tacgen.Press(depth_mm=0.5, frames=2)
         frames = tacgen.simulate(gel, tacgen.Sphere(radius_mm=4), press, outputs=("force", "traction"), quality=quality)
-        drawn = panel.imshow(1000 * frames.pressure[-1], extent=(-8, 8, 8, -8))
+        x, y = frames.x_mm, frames.y_mm
+        drawn = panel.imshow(
+            1000 * frames.pressure[-1], extent=(np.nanmin(x), np.nanmax(x), np.nanmax(y), np.nanmin(y))
+        )
         panel.set(title=f"{thickness_mm} mm: {-frames.force[-1, 2]:.2f} N", xlabel="x [mm]")
         figure.colorbar(drawn, ax=panel, label="pressure [kPa]")
     figure.savefig(folder / "gel_thickness.png")

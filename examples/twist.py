@@ -17,8 +17,9 @@ def main(folder: Path, quality: object = "draft", steps: int = 8) -> None:
     left.plot(np.linspace(0, 24, steps + 1), frames.torque[1:, 2], "o-")
     left.set(xlabel="angle [deg]", ylabel="torque about z [N mm]")
     sliding = np.where(frames.contact[-1], frames.slip[-1], np.nan)
-    right.imshow(sliding, vmin=0, vmax=1)
-    right.set(title="where it slides at the end", xlabel="x [px]", ylabel="y [px]")
+    x, y = frames.x_mm, frames.y_mm
+    right.imshow(sliding, vmin=0, vmax=1, extent=(np.nanmin(x), np.nanmax(x), np.nanmax(y), np.nanmin(y)))
+    right.set(title="where it slides at the end", xlabel="x [mm]", ylabel="y [mm]")
     figure.savefig(folder / "twist.png")
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 
 from tacgen import array_cache, atomic_file, compiled, mechanics
-from tacgen.bundle import bundle, resume
+from tacgen.bundle import bundle, kept_files, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import as_stored, finite_problem
 from tacgen.geometry.first_touch import closest
@@ -22,7 +22,7 @@ from tacgen.mechanics.cost_note import cost_note
 from tacgen.mechanics.expected_error import Expected, FaceGrid
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
-from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS
+from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS, PLACES, WITH_MAPS
 from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
@@ -102,7 +102,7 @@ def _attributes(
         versions = (f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
         found["solver"] = ", ".join([problem.linear.name, *versions])
     elsewhere = "" if solution is None else solution.why
-    if said := [note for note in (coarse, cost, elsewhere, *row.notes) if note]:
+    if said := [note for note in (coarse, cost, elsewhere, kept_files.note(row), *row.notes) if note]:
         found["notes"] = said
     return found
 
@@ -247,6 +247,7 @@ class Recorder:
         (row, self.scene, problem), self.clock = solvable, clock
         self.poses: list[np.ndarray] = []
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
+        asked |= {PLACES} if asked & WITH_MAPS else set()
         self.before: mechanics.State | None = None
         with clock.stage("fields"):
             self.shared = _shared(row, self.scene, problem, solution.states if solution else (), device)
@@ -260,6 +261,7 @@ class Recorder:
         if images:
             with clock.stage("render"), compiled.once(_camera(row)):
                 self.pictures = self.shared.pictures
+        found |= kept_files.of(row)
         self.reference = _finite(found | _datasets(images, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(row, self.scene, self.shared, clock, solution)

@@ -149,7 +149,8 @@ def test_an_output_brings_its_datasets_and_no_others(
     found = pipeline.run_scene(row, tmp_path / "out")
     shapes = bundle.read(found.path).shapes
     always = {p for p in shapes if p.startswith("/frames/quality/")}
-    always |= {"/frames/pose", "/frames/segment", "/frames/force", "/frames/torque"}
+    always |= {f"/frames/{name}" for name in ("pose", "segment", "force", "normal_force", "friction_force", "torque")}
+    always |= set() if output in ("markers", "radiance") else {"/reference/x_mm", "/reference/y_mm"}  # of a map
     assert set(shapes) == datasets | always
 
 

@@ -3,18 +3,17 @@
 import json
 import shutil
 import warnings
-import weakref
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.bundle import dataset, field_names
+from tacgen.bundle import dataset, field_names, kept_files
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
 from tacgen.bundle.caption import caption, line
 from tacgen.bundle.force_error import force_error
+from tacgen.bundle.kept_files import Folder
 from tacgen.errors import LeftOut, UserError
 
 if TYPE_CHECKING:
@@ -24,14 +23,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 ALIASES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force", "unique": "quality/unique"}
-
-
-class Folder:
-    """A temporary folder, removed with the last object that holds it. (TemporaryDirectory would warn of that.)"""
-
-    def __init__(self) -> None:
-        self.path = Path(mkdtemp(prefix="tacgen-"))
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+ALIASES |= {name: f"/reference/{name}" for name in ("x_mm", "y_mm")}
 
 
 class Frames:
@@ -54,6 +46,8 @@ class Frames:
     Attributes:
         force: force on the gel, (N, 3) [N].
         force_std: standard deviation of the force, (N, 3) [N]; with `uncertainty`.
+        normal_force: part of the force by pressure, (N, 3) [N]; with friction.
+        friction_force: part of the force by friction, (N, 3) [N]; with friction.
         torque: torque on the gel about the sensor origin, (N, 3) [N mm].
         pose: pose of the indenter in the sensor frame, (N, 4, 4) [mm].
         pressure: pressure normal to the deformed face, (N, h, w) [MPa].
@@ -63,6 +57,8 @@ class Frames:
         height: z of the deformed face, (N, h, w) [mm]; nan where a pixel shows no gel.
         normals: unit normal of the deformed face, (N, h, w, 3) [1].
         force_map: force on the gel behind each sample, (N, h, w, 3) [N].
+        x_mm: x in the sensor frame of the untouched face behind each sample of a map, (h, w) [mm]; nan beside the gel.
+        y_mm: y in the sensor frame of the untouched face behind each sample of a map, (h, w) [mm]; nan beside the gel.
         displacement: nodal displacement, (N, n, 3) [mm].
         stress: Cauchy stress at the nodes, xx yy zz yz xz xy, (N, n, 6) [MPa].
         markers: marker centres in the image, (N, M, 2) [px].
@@ -113,11 +109,19 @@ class Frames:
                 raise AttributeError(str(error)) from None
 
     def __dir__(self) -> list[str]:
-        plain = [name for name in self.names if name.isidentifier()]
-        return sorted({*super().__dir__(), *plain, *(each for each, name in ALIASES.items() if name in self.names)})
+        plain, known = [name for name in self.names if name.isidentifier()], self.bundle.shapes.keys()
+        return sorted(
+            {
+                *super().__dir__(),
+                *plain,
+                *(each for each, name in ALIASES.items() if {name, f"/frames/{name}", f"/fields/{name}"} & known),
+            }
+        )
 
     force: Array
     force_std: Array
+    normal_force: Array
+    friction_force: Array
     torque: Array
     pose: Array
     pressure: Array
@@ -127,6 +131,8 @@ class Frames:
     height: Array
     normals: Array
     force_map: Array
+    x_mm: Array
+    y_mm: Array
     displacement: Array
     stress: Array
     markers: Array
@@ -165,8 +171,11 @@ class Frames:
 
     @property
     def recipe(self) -> dict[str, Any]:
-        """The recipe of the scene, all of whose values are resolved: `tacgen.run` makes the same scene of it."""
-        return self.bundle.recipe
+        """The recipe of the scene, all of whose values are resolved: `tacgen.run` makes the same scene of it.
+
+        Its object, poses and sensor are named by copies of files in the bundle, which last as long as this process.
+        """
+        return kept_files.runnable(self.bundle)
 
     @property
     def sensor(self) -> "Sensor":

@@ -1,15 +1,16 @@
 """A contact computed, or a recipe run, from Python."""
 
-import hashlib
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from tacgen.api.frames import Folder, Frames, accepted
+from tacgen.api.frames import Frames, accepted
+from tacgen.bundle import kept_files
 from tacgen.bundle.bundle import read
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
@@ -21,7 +22,7 @@ from tacgen.recipe.trajectory import Hold, Press, Release, Replay, Slide, Start,
 from tacgen.sensor.base_model import Part
 from tacgen.sensor.model import Camera, Gel, Sensor
 from tacgen.sensor.usual_values import unusual
-from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, format_path
+from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, format_path, put
 
 if TYPE_CHECKING:
     from tacgen.recipe.indenters import Box, Capsule, Cone, Cylinder, Mesh, Sphere, Torus, Wedge
@@ -97,7 +98,7 @@ def simulate(
         SceneRejected: a frame did not converge, and its `frames` are those before it; or none touches the gel.
         UserError: an argument is not valid; each line says which and why.
     """
-    folder = Folder()
+    folder = kept_files.Folder()
     given = _Files(folder.path, None if dynamics is None else dynamics.frame_s)
     chosen = _sensor(sensor)
     steps = [movements] if isinstance(movements, Part | np.ndarray) else list(movements)
@@ -205,7 +206,7 @@ def _sensor(given: str | Path | Sensor | Gel) -> str | Sensor:
 
 
 class _Files:
-    """Arguments as parts of a recipe; meshes and poses are written to a folder, named by their contents."""
+    """Arguments as parts of a recipe; meshes and poses are written to a folder."""
 
     def __init__(self, folder: Path, frame_s: float | None) -> None:
         self.folder, self.frame_s = folder, frame_s
@@ -217,7 +218,7 @@ class _Files:
             return {"shape": "mesh", "file": str(given)}
         if isinstance(given, Trimesh):
             content = given.export(file_type="stl")
-            return {"shape": "mesh", "file": self._kept(content, ".stl", ("indenter", "file"))}
+            return {"shape": "mesh", "file": self._kept(content, f"{_called(given)}.stl", ("indenter", "file"))}
         if type(given) in indenters.SHAPES.values():
             return given
         known = ", ".join(kind.__name__ for kind in indenters.SHAPES.values())
@@ -226,18 +227,29 @@ class _Files:
     def movement(self, given: Any, place: int) -> Any:
         """The segment of a trajectory."""
         if isinstance(given, np.ndarray):
-            file = self._kept(_table(given, self.frame_s or 1.0), ".csv", ("trajectory", place, "replay", "file"))
+            where = "trajectory", place, "replay", "file"
+            file = self._kept(_table(given, self.frame_s or 1.0), f"poses{place or ''}.csv", where)
             return {"replay": {"file": file, "units": "mm"}}
         if isinstance(given, Movement):
             return {type(given).__name__.lower(): given}
         known = ", ".join(kind.__name__ for kind in Movement.__args__)
         raise UserError(f"simulate: movements[{place}]: must be {known} or poses (N, 4, 4) (got {_kind(given)})")
 
-    def _kept(self, content: bytes, suffix: str, where: KeyPath) -> str:
-        name = hashlib.sha256(content).hexdigest()[:16] + suffix
+    def _kept(self, content: bytes, name: str, where: KeyPath) -> str:
         (self.folder / name).write_bytes(content)
-        self.spots[where] = Spot(*[Mark(Source("simulate", folder=self.folder))] * 2)
+        self.spots[where] = _in_folder("simulate", self.folder)
         return name
+
+
+def _called(mesh: Trimesh) -> str:
+    """The name of a mesh: that of the file it was read from, its shape's, or `object`."""
+    known = getattr(mesh, "metadata", {})
+    name = next((str(known[key]) for key in ("name", "file_name", "shape") if known.get(key)), "object")
+    return re.sub(r"[^A-Za-z0-9._-]", "_", PurePath(name).stem)[:80].lstrip(".") or "object"
+
+
+def _in_folder(name: str, folder: Path) -> Spot:
+    return Spot(*[Mark(Source(name, folder=folder))] * 2)
 
 
 def _table(poses: np.ndarray, frame_s: float) -> bytes:
@@ -258,7 +270,11 @@ def _table(poses: np.ndarray, frame_s: float) -> bytes:
 def _tree(data: Any, name: str, spots: Mapping[KeyPath, Spot]) -> Tree:
     """A recipe that is in no file, as plain values; messages name it, and paths start at the working folder."""
     plain, here = _plain(data), Spot(*[Mark(Source(name))] * 2)
-    return Tree(plain, dict.fromkeys(_paths(plain), here) | dict(spots))
+    spots, copies = dict(spots), kept_files.folder().path
+    for path in _paths(plain):
+        if isinstance(value := at(plain, path), str) and copies in Path(value).parents:  # of a bundle, by its own name
+            plain, spots[path] = put(plain, path, Path(value).name), _in_folder(name, Path(value).parent)
+    return Tree(plain, dict.fromkeys(_paths(plain), here) | spots)
 
 
 def _paths(value: Any, path: KeyPath = ()) -> Iterator[KeyPath]:

@@ -4,6 +4,7 @@ A sphere, radius 4 mm, on gelsight_mini: pressed 1 mm deep, slid 1 mm along x. T
 from frame 5, sliding from frame 9. The largest force is 3.31 N, in frame 4.
 """
 
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,7 +90,7 @@ def shape_text(indenter: dict[str, Any]) -> str:
     """The indenter of a recipe in words, such as `sphere, radius 4 mm`."""
     fields = dict(indenter)
     shape = fields.pop("shape", "indenter")
-    words = [fields.pop("file", shape)]
+    words = [re.split(r"[/\\]", re.sub(r"\.(stl|obj|ply)$", "", str(fields.pop("file", shape)), flags=re.I))[-1]]
     for name in ("sha256", "up"):
         fields.pop(name, None)
     if fields.get("scale") == 1:

@@ -1,20 +1,22 @@
 """Checks of finished bundles: complete, in the right layout, finite, in range, and physically possible."""
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from tacgen import atomic_file
-from tacgen.bundle import dataset
+from tacgen.bundle import dataset, kept_files
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import attributes, finite_problem
 from tacgen.errors import UserError
 from tacgen.recipe import approach
+from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parents_first, parse_path, put
 
 MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
 MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
@@ -221,6 +223,50 @@ def _markers(bundle: Bundle) -> Iterator[str]:
         yield from _say_frames(error > 1e-3, "/frames/marker_flow is not markers less reference, off by", error, "px")
 
 
+def _values(bundle: Bundle) -> Iterator[str]:
+    """Varied values stand in the resolved recipe and sensor, where children are laid over their parents."""
+    values: dict[str, Any] = json.loads(bundle.attrs.get("values", "{}"))
+    recipe, known = bundle.recipe, "sensor_document" in bundle.attrs
+    if (drawn := values.pop("sensor", sensor := recipe.get("sensor"))) != sensor:
+        yield _told("sensor", drawn, sensor)
+    document = {**recipe, "sensor": json.loads(bundle.attrs["sensor_document"]) if known else None}
+    wanted, paths = document, dict[str, KeyPath]()
+    for name in parents_first(name for name in values if known or not name.startswith("sensor.")):
+        try:
+            wanted = put(wanted, parse_path(name), values[name])
+            paths[name] = parse_path(name)
+        except (LookupError, ValueError):
+            yield _told(name, values[name], None)
+    for name, path in paths.items():
+        if not _holds(at(document, path), at(wanted, path)):
+            yield _told(name, values[name], at(document, path))
+
+
+def _files(bundle: Bundle) -> Iterator[str]:
+    """Files in the bundle are those whose hashes the recipe gives."""
+    for where, content in kept_files.contents(bundle).items():
+        named = *where[:-1], "sha256"
+        if at(bundle.recipe, named) != hashlib.sha256(content).hexdigest():
+            yield f"/files/{format_path(where)} is not the file of the recipe's {format_path(named)}"
+
+
+def _told(name: str, value: Any, found: Any) -> str:
+    return f"{name} is {describe(value)} among its values, and {describe(found)} in its recipe"
+
+
+def _holds(found: Any, wanted: Any) -> bool:
+    """Whether a value of a resolved document is one that was drawn: mappings are completed, `outputs` sorted, and one
+    number may stand for three."""
+    if isinstance(wanted, dict):
+        return isinstance(found, dict) and all(_holds(found.get(key), value) for key, value in wanted.items())
+    if not isinstance(found, list):
+        return bool(found == wanted)
+    if not isinstance(wanted, list):
+        return all(each == wanted for each in found)
+    same = len(found) == len(wanted) and all(map(_holds, found, wanted))
+    return same or (all(isinstance(each, str) for each in wanted) and set(found) == set(wanted))
+
+
 def misfits(bundle: Bundle) -> dict[str, np.ndarray]:
     """Rows of MISFITS that a bundle has, each (N,), scaled down in light contact."""
     rows = {name: path for name in MISFITS if (path := f"/frames/quality/{name}") in bundle}
@@ -250,7 +296,7 @@ def _folds(bundle: Bundle) -> Iterator[str]:
 
 
 Rule = Callable[[Bundle], Iterator[str]]
-RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers)
+RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers, _values, _files)
 NOTES: tuple[Rule, ...] = (_maps, _contact, _folds)
 
 

@@ -51,11 +51,18 @@ def cells(bundle: Bundle, layout: Array) -> Array:
 
 
 def _places(bundle: Bundle) -> Array:
-    """Positions (h x w, 2) [mm] on the untouched face behind the samples of a map; a dome needs the output `height`."""
+    """Positions (h x w, 2) [mm] on the untouched face behind the samples of a map; beside the gel on the plane z = 0.
+
+    In a bundle of an earlier version, without /reference/x_mm, a dome needs the output `height`.
+    """
     from tacgen.optics.camera import PinholeCamera
 
     camera, (h, w) = PinholeCamera.from_sensor(bundle.sensor), bundle.shapes["/frames/force_map"][1:3]
     row, column = np.indices((h, w)).reshape(2, -1) + 0.5
     origins, rays = camera.rays(np.column_stack([column * camera.shape[1] / w, row * camera.shape[0] / h]))
     z = np.nan_to_num(bundle["/reference/height"].ravel()) if "/reference/height" in bundle else 0.0
-    return np.asarray((origins - rays * ((origins[:, 2] - z) / rays[:, 2])[:, None])[:, :2])
+    places = np.asarray((origins - rays * ((origins[:, 2] - z) / rays[:, 2])[:, None])[:, :2])
+    if "/reference/x_mm" in bundle:
+        known = np.stack([bundle[f"/reference/{axis}_mm"].ravel() for axis in "xy"], -1)
+        places = np.where(np.isnan(known), places, known)
+    return places

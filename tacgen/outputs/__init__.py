@@ -24,7 +24,11 @@ NAMES = (  # in the order in which recipes are stored
     "rgb",
 )
 BLOCKS = ("uncertainty", "grasp")  # not asked for by name, but by the block of that name in the recipe
-OUTPUTS: dict[str, Output] = {name: import_module(f"tacgen.outputs.{name}").OUTPUT for name in (*NAMES, *BLOCKS)}
+PLACES = "positions"  # made wherever another output has a map
+OUTPUTS: dict[str, Output] = {
+    name: import_module(f"tacgen.outputs.{name}").OUTPUT for name in (*NAMES, *BLOCKS, PLACES, "files")
+}
+WITH_MAPS = frozenset(name for name in NAMES if any("h" in row.dims for row in OUTPUTS[name].rows.values()))
 IMAGES = frozenset(name for name, output in OUTPUTS.items() if output.needs == "light")
 LAYOUT: dict[str, Entry] = {path: row for output in OUTPUTS.values() for path, row in output.rows.items()}
 DRAWN_MAPS: dict[str, DrawnMap] = {name: layer for output in OUTPUTS.values() for name, layer in output.maps.items()}

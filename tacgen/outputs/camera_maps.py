@@ -37,6 +37,10 @@ class View(DrawnFace):
         """z (h, w) [mm]."""
         return self.behind(self.nodes[:, 2:], outermost=True)[..., 0]
 
+    def places(self) -> Array:
+        """x and y (h, w, 2) [mm]."""
+        return self.behind(self.nodes[:, :2], outermost=True)
+
     def normals(self) -> Array:
         """Unit normals (h, w, 3), out of the gel."""
         mean = self.behind(-self.facing, outermost=True)

@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.fem.elements import facet_areas, triangles
+from tacgen.outputs.contact_maps import RIM_SHARE
 from tacgen.outputs.events import MODES
 
 if TYPE_CHECKING:
     from tacgen.mechanics import Problem, State
-    from tacgen.outputs.contact_maps import Maps
+    from tacgen.mechanics.barrier import Faces
 
 Array = np.ndarray
 APART, TOUCHING, STICKING, SLIPPING, SLIDING, TURNING, RELEASING = range(len(MODES))
@@ -39,7 +41,7 @@ class Events:
 
     mode: index in MODES; stick_ratio: share of the pressure that sticks [-]; friction_used: see the function of that
     name [-]; center_of_pressure (3,) in the sensor frame [mm]; contact_area of the deformed face [mm^2], and its number
-    of connected patches, as the camera sees them.
+    of connected patches, whether the camera sees them or not.
     """
 
     mode: int = APART
@@ -50,10 +52,8 @@ class Events:
     patches: int = 0
 
 
-def events(problem: "Problem", state: "State", before: "State | None", maps: "Maps") -> Events:
+def events(problem: "Problem", state: "State", before: "State | None") -> Events:
     """The contact in a state; `before` is the state of the previous frame, None in the first."""
-    from scipy.ndimage import label
-
     faces, on = problem.contact.faces, state.normal_force > 0
     force = state.normal_force[on]
     if force.sum() <= FAINT * problem.elastic[-1].law.mu * faces.areas[on].sum():
@@ -74,8 +74,44 @@ def events(problem: "Problem", state: "State", before: "State | None", maps: "Ma
         mode = TOUCHING
     else:
         mode = STICKING if stick > NEARLY_ALL else SLIPPING
-    area, patches = float(maps.area[maps.contact].sum()), label(maps.contact, np.ones((3, 3)))[1]
-    return Events(mode, stick, used, tuple(center), area, patches)
+    return Events(mode, stick, used, tuple(center), *touched(faces, state.x, on))
+
+
+def touched(faces: "Faces", x: Array, on: Array) -> tuple[float, int]:
+    """Area [mm^2] of the face at nodal positions x (n, 3) that touches, and the number of its connected patches.
+
+    It is where RIM_SHARE of the points around, `on` (f, q) of which touch, as in the map of contact; the points alone
+    where no node has so many around it.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    touching, around = faces.shared(np.stack([faces.areas * on, faces.areas], -1), len(x)).T
+    above = np.divide(touching, around, out=np.zeros(len(x)), where=around > 0) - RIM_SHARE
+    drawn, stretch = triangles(faces.conn), facet_areas(x, faces.conn)[0].sum(1) / faces.areas.sum(1)
+    if faces.conn.shape[1] == 4:  # around their middles, which no diagonal favours
+        x, above = (np.concatenate([each, each[faces.conn].mean(1)]) for each in (x, above))
+        middle = np.arange(len(x) - len(stretch), len(x))
+        drawn = np.concatenate([np.column_stack([faces.conn[:, [k - 1, k]], middle]) for k in range(4)])
+    inside, area = above >= 0, float(stretch @ (faces.areas * on).sum(1))
+    if inside.any():
+        corner = x[drawn]
+        sizes = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+        area = float(sizes @ share_above(above[drawn]))
+    else:
+        inside[faces.conn[on.any(1)]] = True
+    ends = np.concatenate([drawn[:, [k - 1, k]] for k in range(3)])
+    ends = ends[inside[ends].all(1)]
+    graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(len(x), len(x)))
+    return area, len(np.unique(connected_components(graph, directed=False)[1][inside]))
+
+
+def share_above(values: Array) -> Array:
+    """Share (t,) of each triangle on which the linear function with these values (t, 3) at its corners is positive."""
+    a, b, c = np.sort(values, axis=1).T
+    cut = np.where(b > 0, np.minimum(a, 0.0), np.maximum(c, 0.0)) ** 2  # the corner that is cut off, at a or at c
+    part = np.divide(cut, (c - a) * np.where(b > 0, b - a, c - b), out=np.zeros(len(cut)), where=cut > 0)
+    return np.asarray(np.where(b > 0, 1 - part, part))
 
 
 def friction_used(arm: Array, normal: Array, most: Array, friction: Array) -> float:

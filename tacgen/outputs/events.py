@@ -8,7 +8,7 @@ MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning
 def _frame(frame: FrameData) -> Datasets:
     from tacgen.outputs.contact_events import events
 
-    values = events(frame.scene.problem, frame.state, frame.before, frame.maps)
+    values = events(frame.scene.problem, frame.state, frame.before)
     return {f"/frames/events/{name}": value for name, value in vars(values).items()}
 
 
@@ -23,8 +23,10 @@ OUTPUT = Output(
             "<f8", "N", "1", "load along the face over what friction can bear; 1 where all of it slides"
         ),
         "/frames/events/center_of_pressure": Entry("<f8", "N 3", "mm", "centre of pressure in the sensor frame"),
-        "/frames/events/contact_area": Entry("<f8", "N", "mm^2", "area of the deformed face in contact"),
-        "/frames/events/patches": Entry("<i4", "N", "1", "pieces that the contact consists of"),
+        "/frames/events/contact_area": Entry(
+            "<f8", "N", "mm^2", "area of the deformed face in contact, in view or not"
+        ),
+        "/frames/events/patches": Entry("<i4", "N", "1", "pieces that the contact consists of, in view or not"),
     },
     _frame,
 )

@@ -5,6 +5,8 @@ from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output
 
 def _frame(frame: FrameData) -> Datasets:
     """Every dataset but segment, time and the expected error, which the pipeline knows."""
+    import numpy as np
+
     from tacgen.geometry.pose import Pose
     from tacgen.mechanics.tunnelling import overlap
     from tacgen.outputs.gel_surface import wrench
@@ -12,7 +14,9 @@ def _frame(frame: FrameData) -> Datasets:
     problem, state = frame.scene.problem, frame.state
     force, torque = wrench(problem, state)
     contact = problem.contact.moved(Pose.of(state.pose), state.offset)
-    return {
+    friction = np.zeros(3) if state.friction is None else state.friction.sum((0, 1))
+    parts = {"/frames/normal_force": force - friction, "/frames/friction_force": friction}
+    return (parts if problem.friction else {}) | {
         "/frames/pose": state.pose,
         "/frames/force": force,
         "/frames/torque": torque,
@@ -39,6 +43,19 @@ OUTPUT = Output(
         "/frames/segment": Entry("<i4", "N", "1", "index of the trajectory segment the frame belongs to"),
         "/frames/time": Entry("<f8", "N", "s", "time since the start of the path, where time counts"),
         "/frames/force": Entry("<f8", "N 3", "N", "force on the gel"),
+        "/frames/normal_force": Entry(
+            "<f8",
+            "N 3",
+            "N",
+            "with friction: part of the force by pressure, along the indenter's normals; it has a part along the face"
+            " where the indenter ploughs",
+        ),
+        "/frames/friction_force": Entry(
+            "<f8",
+            "N 3",
+            "N",
+            "with friction: part of the force by friction, at most the coefficient x the sum of pressure x area",
+        ),
         "/frames/torque": Entry("<f8", "N 3", "N mm", "torque on the gel about the sensor origin"),
         "/frames/quality/newton_iterations": Entry("<i4", "N", "1", "Newton iterations spent on the frame"),
         "/frames/quality/damped_steps": Entry(

@@ -10,7 +10,20 @@ from tacgen.recipe import assets, checks, grasp_checks, sensor_checks
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.validation_messages import Issue, report, suggest, validate
-from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, describe, load, parse, parse_path
+from tacgen.sensor.yaml_source import (
+    KeyPath,
+    Mark,
+    Source,
+    Spot,
+    Tree,
+    at,
+    describe,
+    is_within,
+    load,
+    parents_first,
+    parse,
+    parse_path,
+)
 
 SOLID: KeyPath = ("gel", "solid", "file")
 
@@ -123,8 +136,9 @@ def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = N
     """
     starts: dict[KeyPath, Path] = {}
     for path in recipe.files:
-        spots = [where for name, where in (varied or {}).items() if path[: len(p := parse_path(name))] == p]
-        starts[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
+        above = [name for name in parents_first(varied or {}) if is_within(path, parse_path(name))]
+        where = (varied or {})[above[-1]] if above else path
+        starts[path] = (tree.spot(where).value.source.folder or Path()).resolve()
     return starts
 
 
@@ -227,10 +241,10 @@ def _overridden_sensor(
 
 
 def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Issue]]:
-    """Apply `sensor_overrides` to a sensor's tree: keys are paths, mappings are merged."""
+    """Apply `sensor_overrides` to a sensor's tree: keys are paths, parents first, and mappings are merged."""
     overrides = recipe.data.get("sensor_overrides")
     problems: list[Issue] = []
-    for key in overrides if isinstance(overrides, dict) else ():
+    for key in parents_first(overrides) if isinstance(overrides, dict) else ():
         here: KeyPath = ("sensor_overrides", key)
         try:
             sensor = sensor.merged(recipe.under(here), parse_path(key))

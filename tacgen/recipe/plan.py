@@ -15,14 +15,14 @@ from tacgen.errors import UserError
 from tacgen.outputs import IMAGES
 from tacgen.recipe import checks, loading, sensor_base, sensor_checks, usual_sizes
 from tacgen.recipe.loading import SOLID, Loaded, folders
-from tacgen.recipe.model import Recipe, Vary
+from tacgen.recipe.model import Distribution, Recipe, Vary
 from tacgen.recipe.row import Row, resolved, scene_seed
 from tacgen.recipe.sampling import correlated, draw, scene_count
 from tacgen.sensor import usual_values
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.usual_values import unusual
 from tacgen.sensor.validation_messages import Issue, report, validate
-from tacgen.sensor.yaml_source import KeyPath, Tree, format_path, parse_path, put
+from tacgen.sensor.yaml_source import KeyPath, Tree, at, format_path, is_within, parents_first, parse_path
 
 NOT_VARIABLE = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
 MAX_SCENES = 1_000_000
@@ -138,6 +138,7 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
 def _check(vary: Vary, tree: Tree) -> None:
     """Raise UserError for what cannot be varied, or not by this method."""
     problems: list[Issue] = []
+    known: dict[KeyPath, str] = {}
     for name, here in vary.paths.items():
         spread = getattr(vary, str(here[1]))[name]
         try:
@@ -145,10 +146,16 @@ def _check(vary: Vary, tree: Tree) -> None:
         except ValueError as error:
             problems.append(Issue(here, str(error), at_key=True))
             continue
+        if (same := known.setdefault(path, name)) != name:
+            problems.append(Issue(here, f"is {same}, which is varied already: leave one of them out", at_key=True))
         if path[0] in NOT_VARIABLE:
             problems.append(Issue(here, f"{path[0]} cannot be varied: write a recipe for each value", at_key=True))
         if path == ("sensor",) and not all(isinstance(value, str) for value in spread.choice or (None,)):
             problems.append(Issue(here, "must be a choice of sensors' names or files"))
+        if inner := next((inner for each in enumerate(spread.choice or ()) if (inner := _spread_in(*each))), None):
+            child = format_path((*path, *inner[1:]))
+            text = f"has a distribution inside a choice, at {format_path(inner)}: list {child} beside it instead"
+            problems.append(Issue(here, text))
         if here[1] == "grid" and name in vary.over:
             problems.append(Issue(here, "is in over already: leave one of them out", at_key=True))
         if "grid" in (vary.method, here[1]) and spread.choice is None and spread.linspace is None:
@@ -158,6 +165,14 @@ def _check(vary: Vary, tree: Tree) -> None:
         problems.append(Issue(("vary", "over"), text))
     if problems:
         raise UserError(problem.point(tree) for problem in problems)
+
+
+def _spread_in(key: str | int, value: Any) -> KeyPath | None:
+    """Where in a value, that has this key, somebody has written a distribution."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
+    if isinstance(value, dict) and len(value) == 1 and value.keys() <= Distribution.model_fields.keys():
+        return (key,)
+    return next(((key, *inner) for each in items if (inner := _spread_in(*each))), None)
 
 
 def _named(
@@ -197,21 +212,11 @@ def _resolve(
     checking: bool,
 ) -> tuple[Row | None, list[Issue]]:
     """One row, `checking` it as if a person had written it; or what is wrong with it."""
-    data: Any = base
-    inside = [name for name in values if name.startswith("sensor.")]
-    plain_sensor = sensor.model_dump(mode="json", exclude_none=True) if inside else {}
-    try:
-        for name, value in values.items():
-            path, inner = parse_path(name), name.removeprefix("sensor.")
-            if name in inside:
-                plain_sensor = put(plain_sensor, path[1:], value)
-                data = put(data, ("sensor_overrides", inner), value)
-            else:
-                data = put(data, path, value)
-    except LookupError as error:
-        return None, [Issue(path, str(error))]
+    data, plain_sensor, wrong = _laid_over(base, sensor, values)
+    if wrong:
+        return None, wrong
     recipe, wrong = validate(Recipe, data)
-    if inside:
+    if plain_sensor is not None:
         if (name := f"sensor.{format_path(SOLID)}") in values:
             solid = {("sensor", *SOLID): (tree.spot(vary.paths[name]).value.source.folder or Path()).resolve()}
         images = recipe is not None and bool(recipe.outputs & IMAGES)
@@ -225,6 +230,7 @@ def _resolve(
         return None, wrong
     starts = {**folders(tree, recipe, vary.paths), **solid}
     wrong += checks.recipe_problems(recipe, sensor, starts) if checking else []
+    tree = tree.replaced(("sensor_overrides",), Tree(data["sensor_overrides"])) if plain_sensor is not None else tree
     other, lacking = loading.right_sensor(recipe, sensor, tree)
     wrong += [problem for problem, _ in lacking]
     if wrong:
@@ -233,14 +239,42 @@ def _resolve(
     return Row(index, f"scene-{index:05d}", seed, complete, sensor, values, starts, other, pair=pair), []
 
 
+def _laid_over(base: Any, sensor: Sensor, values: dict[str, Any]) -> tuple[Any, Any, list[Issue]]:
+    """A recipe's plain values with the varied ones in them; those of its sensor, None where it is not varied; and what
+    has no place there.
+
+    Parents are laid before what lies in them, whatever their order; mappings of the sensor are merged, as those of
+    `sensor_overrides` are.
+    """
+    names = [name for name in parents_first(values) if name != "sensor"]
+    inside = [name for name in names if name.startswith("sensor.")]
+    laid = Tree({**base, "sensor": sensor.model_dump(mode="json", exclude_none=True) if inside else None})
+    for name in names:
+        path, value = parse_path(name), Tree(values[name])
+        parents = [up for up in names if up != name and is_within(path, parse_path(up))]
+        if parents and at(laid.data, path[:-1]) is None:
+            text = f"has no place in the {parents[-1]} that is drawn: write its values into the choices instead"
+            return None, None, [Issue(path, text)]
+        try:
+            laid = laid.merged(value, path) if name in inside else laid.replaced(path, value)
+        except LookupError as error:
+            return None, None, [Issue(path, str(error))]
+    overrides, plain = dict(base["sensor_overrides"]), laid.data["sensor"]
+    for key in base["sensor_overrides"]:
+        if any(is_within(("sensor", *parse_path(key)), parse_path(name)) for name in inside):
+            overrides[key] = at(plain, parse_path(key))  # what a varied parent has made of it
+    overrides |= {name.removeprefix("sensor."): values[name] for name in inside}
+    named = values.get("sensor", base["sensor"])
+    return {**laid.data, "sensor": named, "sensor_overrides": overrides}, plain, []
+
+
 def _message(group: list[tuple[str, Issue]], tree: Tree, vary: Vary) -> str:
     """One line for all scenes that fail alike, pointing at the varied path to blame when there is one."""
     scene, problem = group[0]
     more = f" (and {len(group) - 1} more scenes)" if len(group) > 1 else ""
-    blame = problem.path
-    for name, where in vary.paths.items():
-        path = parse_path(name)
-        if path == blame[: len(path)] or blame == path[: len(blame)]:
-            blame = where
+    paths = {name: parse_path(name) for name in vary.paths}
+    near = [name for name, p in paths.items() if is_within(problem.path, p) or is_within(p, problem.path)]
+    nearest = max(near, key=lambda name: min(len(paths[name]), len(problem.path)), default=None)
+    blame = problem.path if nearest is None else vary.paths[nearest]
     text = f"{scene}: {format_path(problem.path)}: {problem.message}{more}"
     return Issue(blame, text, at_key=True).mark(tree).point(text)

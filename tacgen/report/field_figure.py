@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.bundle import postprocess
+from tacgen.bundle import kept_files, postprocess
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
@@ -186,7 +186,8 @@ def section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -
 def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
     """The indenter's triangles in its own frame, up to `size` [mm].
 
-    None if the file of a mesh is not found or has changed, or if this version of tacgen does not know the shape.
+    None if the file of a mesh is neither in the bundle nor found, or has changed, or if this version of tacgen does not
+    know the shape.
     """
     try:
         indenter: Indenter = parsed(Indenter, json.dumps(bundle.recipe.get("indenter")))  # type: ignore[arg-type]
@@ -197,7 +198,7 @@ def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
         return surface_nets.of_shape(shape, half=size, height=size, tolerance=0.02)
     assert indenter.shape == "mesh"
     try:
-        path = assets.mesh_path(indenter.file)
+        path = kept_files.located(bundle).get(("indenter", "file")) or assets.mesh_path(indenter.file)
         if assets.sha256(path) != indenter.sha256:
             return None
         solid = mesh_file.read(path)

@@ -4,7 +4,7 @@ PyYAML is not used: it reads 1e5 as a string and `no` as False, and takes duplic
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -175,6 +175,16 @@ def parse_path(text: str) -> KeyPath:
     if not re.fullmatch(r"\w+(\[\d+\])*(\.\w+(\[\d+\])*)*", text, re.ASCII):
         raise ValueError(f"{text!r} is not a path such as trajectory[0].press.depth_mm")
     return tuple(int(n) if n else name for n, name in re.findall(r"\[(\d+)\]|(\w+)", text))
+
+
+def is_within(path: KeyPath, up: KeyPath) -> bool:
+    """Whether a path is another one, or lies in it."""
+    return path[: len(up)] == up
+
+
+def parents_first(paths: Iterable[str]) -> list[str]:
+    """Paths in an order in which values can be put in: one that lies in another one after that, otherwise as given."""
+    return sorted(paths, key=lambda text: text.count(".") + text.count("["))
 
 
 def load(path: Path) -> Tree:

@@ -6,7 +6,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from helpers.synthetic import OUTPUTS, write
+from helpers.synthetic import OUTPUTS, attributes, write
 
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
@@ -262,3 +262,27 @@ def test_nothing_to_check(tmp_path: Path) -> None:
         check(tmp_path)
     with pytest.raises(UserError, match="no such file or folder"):
         check(tmp_path / "x.h5")
+
+
+RECIPE = attributes()["recipe"]
+DEEP = {**RECIPE, "trajectory": [{"press": {"depth_mm": 0.7, "frames": 12}}]}
+COLOURS = {"camera": {"exposure": 1.0, "gain": [0.8, 0.8, 0.8]}, "gel": {"layers": [{"name": "g"}]}}
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"trajectory[0].press.depth_mm": 0.7, "trajectory": [{"press": {"depth_mm": 0.2}}]}, ""),
+        ({"sensor.camera.gain": 0.8, "sensor.gel": {"layers": [{"name": "g"}]}, "sensor": "gelsight_mini"}, ""),
+        ({"dynamics": None}, ""),
+        ({"trajectory[0].press.depth_mm": 0.5}, "trajectory[0].press.depth_mm is 0.5 among its values, and 0.7 in"),
+        ({"trajectory": [{"press": {"depth_mm": 0.2}}]}, "trajectory is a list among its values, and a list in its"),
+        ({"trajectory[4].press.depth_mm": 0.5}, "trajectory[4].press.depth_mm is 0.5 among its values, and nothing in"),
+        ({"sensor.camera.exposure": 2.0}, "sensor.camera.exposure is 2 among its values, and 1 in its recipe"),
+        ({"sensor": "digit"}, "sensor is 'digit' among its values, and 'gelsight_mini' in its recipe"),
+    ],
+)
+def test_varied_values_are_those_of_the_resolved_recipe(tmp_path: Path, values: dict[str, Any], message: str) -> None:
+    changes = {"recipe": DEEP, "values": values, "sensor_document": COLOURS}
+    found = lines(write(tmp_path / "x.h5", outputs=frozenset({"force"}), **changes))
+    assert [line.startswith(message) for line in found] == [True] * bool(message), found

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle.bundle import Writer
+from tacgen.sensor.yaml_source import parse_path, put
 
 FRICTION = 0.6
 MM_PER_PX = 0.0634  # at 320 x 240
@@ -22,7 +23,7 @@ OUTPUTS = frozenset({"force", "stress", "traction", "height", "rgb", "markers"})
 
 
 def attributes(**changes: Any) -> dict[str, Any]:
-    recipe = {
+    recipe: Any = {
         "tacgen": 1,
         "name": "synthetic",
         "sensor": "gelsight_mini",
@@ -30,6 +31,9 @@ def attributes(**changes: Any) -> dict[str, Any]:
         "trajectory": TRAJECTORY,
         "contact": {"friction": FRICTION},
     }
+    for name, value in changes.get("values", {}).items() if "recipe" not in changes else ():
+        if not name.startswith("sensor."):
+            recipe = put(recipe, parse_path(name), value)
     attrs: dict[str, Any] = {
         "recipe": recipe,
         "scene_index": 0,

@@ -10,8 +10,9 @@ from helpers.synthetic import attributes, write
 from tacgen import pipeline
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import Change, caption, changes, modes
+from tacgen.mechanics.barrier import Faces
 from tacgen.optics.camera import PinholeCamera
-from tacgen.outputs.contact_events import friction_used
+from tacgen.outputs.contact_events import friction_used, touched
 from tacgen.report import viewer
 from tacgen.report.bundle_figure import figure, summary
 
@@ -80,14 +81,74 @@ def test_share_area_and_center_agree_with_the_maps(tmp_path: Path) -> None:
     force = bundle["/frames/pressure"] * bundle["/frames/area"]
     slid = (force * bundle["/frames/sliding"]).sum((1, 2)) / force.sum((1, 2))
     assert bundle["/frames/events/stick_ratio"] == pytest.approx(1 - slid, abs=0.01)
-    touched = (bundle["/frames/area"] * bundle["/frames/contact"]).sum((1, 2))
-    assert bundle["/frames/events/contact_area"] == pytest.approx(touched, rel=2e-4)  # which are rounded
+    seen = (bundle["/frames/area"] * bundle["/frames/contact"]).sum((1, 2))
+    assert bundle["/frames/events/contact_area"] == pytest.approx(seen, rel=0.015)  # in whole pixels
     assert bundle["/frames/events/patches"].tolist() == [1, 1, 1, 1]
     center = bundle["/frames/events/center_of_pressure"]
     assert np.abs(center[:2, :2]).max() < 0.01
     camera = PinholeCamera.from_sensor(bundle.sensor)
     column = (force[3] * (np.arange(force.shape[2]) + 0.5)).sum() / force[3].sum() * camera.shape[1] / force.shape[2]
     assert camera.project(center[3:])[0, 0] == pytest.approx(column, abs=1)
+
+
+def test_events_are_those_of_all_of_the_face_whatever_the_camera_sees(tmp_path: Path) -> None:
+    """A box tilted onto its edge at the side, seen by the camera, by half, and not at all."""
+    box, moves = "{shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.5}", [PRESS, "slide: {x_mm: 0.3, frames: 1}"]
+    start = "start={x_mm: 6, y_mm: 0, tilt_deg: 15, clearance_mm: 0.4}"
+    seen = []
+    for width in 320, 190, 40:
+        bundle = made(tmp_path / str(width), box, 0.6, moves, (start, f"sensor.camera.width_px={width}"))
+        seen.append({name: bundle[name] for name in bundle.shapes if name.startswith("/frames/events/")})
+    assert seen[0]["/frames/events/contact_area"][-1] > 2
+    assert seen[0]["/frames/events/patches"].tolist() == [1, 1, 1]
+    for other in seen[1:]:
+        for name, values in seen[0].items():
+            assert np.array_equal(other[name], values), name
+
+
+@pytest.mark.parametrize("along", [2, 3])
+def test_area_and_patches_of_a_face_are_those_of_what_touches_it(along: int) -> None:
+    """Two squares and the corner between them, on a level grid whose cells are 0.5 mm wide; and a single point."""
+    n = 12
+    points = np.stack(
+        [*np.meshgrid(np.arange(n + 1.0) / 2, np.arange(n + 1.0) / 2, indexing="ij"), np.zeros((n + 1, n + 1))], -1
+    )
+    number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    conn = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1).reshape(-1, 4)
+    faces = Faces.on(None, points.reshape(-1, 3), conn, along)
+    x, y, _ = faces.at(points.reshape(-1, 3)).transpose(2, 0, 1)
+    two = ((x < 2) & (y < 2)) | ((x > 4) & (y > 3))
+    area, patches = touched(faces, points.reshape(-1, 3), two)
+    assert patches == 2
+    assert area == pytest.approx(4 + 6, rel=0.08)  # as RIM_SHARE is less than half
+    leaning = points.reshape(-1, 3) * [1, 1, 0] + points.reshape(-1, 3)[:, :1] * [0, 0, 1]
+    assert touched(faces, leaning, two) == (pytest.approx(np.sqrt(2) * area), 2)
+    assert touched(faces, points.reshape(-1, 3), np.ones_like(two)) == (pytest.approx(36), 1)
+    one = np.zeros_like(two)
+    one[50, 2] = True
+    assert touched(faces, points.reshape(-1, 3), one) == (pytest.approx(faces.areas[50, 2]), 1), (
+        "a tip that presses touches"
+    )
+    assert touched(faces, points.reshape(-1, 3), np.zeros_like(two)) == (0.0, 0)
+
+
+def test_force_is_its_normal_part_and_friction_which_obeys_coulombs_law(tmp_path: Path) -> None:
+    """A ball that slides is held back by more than friction: it ploughs."""
+    moves = [PRESS, "slide: {x_mm: 2, frames: 2}"]
+    bundle = made(tmp_path, BALL, 0.2, moves, outputs="traction, force_map")
+    force, normal, friction = (bundle[f"/frames/{name}"] for name in ("force", "normal_force", "friction_force"))
+    assert force == pytest.approx(normal + friction, abs=1e-12)
+    pressed = (bundle["/frames/pressure"] * bundle["/frames/area"]).sum((1, 2))
+    size, tangential = np.linalg.norm(friction, axis=1), np.hypot(force[:, 0], force[:, 1])
+    assert (size <= 0.2 * pressed * (1 + 1e-3)).all()
+    assert size[-1] > 0.95 * 0.2 * pressed[-1]
+    assert tangential[-1] / -force[-1, 2] > 0.21, "or this scene does not plough"
+    assert -normal[-1, 0] / force[-1, 2] > 0.01, "which is in the normal part"
+
+
+def test_without_friction_no_parts_of_the_force_are_stored(tmp_path: Path) -> None:
+    bundle = made(tmp_path, BALL, 0.0, ["press: {depth_mm: 0.4, frames: 1}"])
+    assert not {"/frames/normal_force", "/frames/friction_force"} & bundle.shapes.keys()
 
 
 def disc(n: int, radius: float = 2.0) -> tuple[Array, Array, Array]:
