@@ -7,7 +7,7 @@ import io
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from tacgen.outputs import LAYOUT
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 LARGEST = 2**40  # largest file [bytes]
-FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
+FILTERS = frozenset({1, 2, 3})  # deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
 RATIO = 1100  # largest ratio of decompressed to compressed size; that of deflate is 1032 [-]
 SMALL = 4096  # size of a chunk that may be larger than its data [bytes]
 GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
@@ -39,6 +39,10 @@ class BundleFile(io.FileIO):
     HDF5 1.14 never returns from a global heap that holds a free object of size 0, as zeroed disk sectors leave it. So
     each heap is checked as it is read.
     """
+
+    def __del__(self) -> None:
+        """Close it without a warning: h5py holds it until it closes its own file."""
+        self.close()
 
     def readinto(self, buffer: Any) -> int:
         """As FileIO's. Raises OSError: a heap is damaged."""
@@ -64,9 +68,8 @@ class BundleFile(io.FileIO):
             at += 16 + (length + 7) // 8 * 8 if used else length
 
 
-@contextmanager
-def opened(path: Path, group: str = "/") -> Iterator[Any]:
-    """An open group of a file. Any exception raised inside becomes a UserError, so only reading belongs there.
+def open_file(path: Path) -> Any:
+    """A file of h5py to read from: a regular one, whose heaps are checked.
 
     Raises:
         Damaged; UserError: there is no such file, or it is something else.
@@ -77,16 +80,66 @@ def opened(path: Path, group: str = "/") -> Iterator[Any]:
         raw = BundleFile(regular_file.descriptor(path, LARGEST))
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
-    with raw:
+    try:
         if raw.read(len(SIGNATURE)) != SIGNATURE:
             raise UserError(f"{path}: not an HDF5 file")
+        return h5py.File(raw, "r")
+    except BaseException as error:
+        raw.close()
+        if isinstance(error, UserError | MemoryError) or not isinstance(error, Exception):
+            raise
+        raise _damaged(path, error) from error
+
+
+def written_file(sink: Any, mode: str = "w", **options: Any) -> Any:
+    """A file of h5py that is written through a sink of `atomic_file`; options as of h5py.File."""
+    import h5py
+
+    return h5py.File(sink, mode, **options)
+
+
+@contextmanager
+def opened(path: Path, group: str = "/") -> Iterator[Any]:
+    """An open group of a file. Any exception raised inside becomes a UserError, so only reading belongs there.
+
+    Raises:
+        Damaged; UserError: there is no such file, or it is something else.
+    """
+    with open_file(path) as file:
         try:
-            with h5py.File(raw, "r") as file:
-                yield file[group]
+            yield item_at(file, group)
         except (UserError, MemoryError):
             raise
         except Exception as error:  # h5py and HDF5 fail in many ways on what is damaged or crafted
-            raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
+            raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> Damaged:
+    return Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})")
+
+
+def item_at(group: Any, path: str) -> Any:
+    """What a group holds at a path of steps. Raises KeyError: nothing; ValueError: a link, perhaps to another file."""
+    import h5py
+
+    for step in filter(None, path.split("/")):
+        if not isinstance(group, h5py.Group) or not isinstance(group.get(step, getlink=True), h5py.HardLink):
+            raise ValueError(f"{path} is a link")
+        group = group[step]
+    return group
+
+
+def not_here(data: Any, filters: Set[int] = FILTERS) -> str:
+    """Why the values of a low-level dataset cannot be read from this file alone, by these filters; "" if they can."""
+    from h5py import h5d
+
+    packing = data.get_create_plist()
+    if packing.get_layout() == h5d.VIRTUAL or packing.get_external_count():
+        return "is not stored in this file"
+    if not {packing.get_filter(i)[0] for i in range(packing.get_nfilters())} <= filters:
+        return "is compressed in a way that cannot be read here: use gzip"
+    claimed, stored = data.dtype.itemsize * math.prod(data.shape), data.get_storage_size()
+    return f"claims {claimed} bytes, and stores {stored}" if claimed > RATIO * stored else ""
 
 
 def datasets(root: Any) -> dict[str, tuple[int, ...]]:
@@ -189,19 +242,13 @@ def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ..
 
     row, packing, dtype = entry(path), data.get_create_plist(), data.dtype
     shape: tuple[int, ...] = data.shape
-    how = packing.get_layout()
-    if how == h5d.VIRTUAL or packing.get_external_count():
-        raise ValueError(f"{path} is not stored in this file")
     if dtype.str != row.dtype:
         raise ValueError(f"{path} has type {dtype.str}, expected {row.dtype}")
     if problem := shape_problem(path, shape, sizes):
         raise ValueError(problem)
-    if not {packing.get_filter(i)[0] for i in range(packing.get_nfilters())} <= FILTERS:
-        raise ValueError(f"{path} is compressed in a way that no bundle is")
-    claimed, stored = dtype.itemsize * math.prod(shape), data.get_storage_size()
-    if claimed > RATIO * stored:
-        raise ValueError(f"{path} claims {claimed} bytes, and stores {stored}")
+    if problem := not_here(data):
+        raise ValueError(f"{path} {problem}")
     whole = dtype.itemsize * math.prod(max(1, n) for n in shape)
-    if how == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(whole, SMALL):
+    if packing.get_layout() == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(whole, SMALL):
         raise ValueError(f"{path} is stored in pieces larger than itself")
     return shape

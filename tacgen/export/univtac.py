@@ -18,6 +18,7 @@ import numpy as np
 
 from tacgen import atomic_file
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.hdf5_file import written_file
 from tacgen.bundle.image_file import encoded
 from tacgen.export import names, needs, poses
 
@@ -41,9 +42,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 
 def _write(bundle: Bundle, path: Path) -> None:
-    import h5py
-
-    with atomic_file.published(path) as sink, h5py.File(sink, "w") as file:
+    with atomic_file.published(path) as sink, written_file(sink) as file:
         for name, values in episode(bundle).items():
             file.create_dataset(name, data=values, track_times=False)
 

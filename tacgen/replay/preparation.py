@@ -1,5 +1,6 @@
 """From logs and a recipe to a recipe that replays the logs."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,6 +56,8 @@ def prepare(
         UserError: a log or the recipe is not valid; no row comes near contact; files of these names are in the way.
     """
     base = assets.recipe_path(recipe)
+    if re.search("[\ud800-\udfff]", str(base.resolve())):
+        raise UserError(f"{base}: its path is no text (UTF-8), which a recipe could hold: rename it")
     tree = loading.merged(base, sets)
     template, given = _template(tree)
     row = _without_movements(tree)

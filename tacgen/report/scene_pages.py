@@ -69,7 +69,7 @@ def write_pages(bundles: Iterable[Bundle], page: Path, *, in_3d: bool) -> dict[s
         if not bundle.frames:
             continue
         name = name_of(bundle)
-        with output_file.written(folder / f"{name}.html") as new:
+        with output_file.written(folder / f"{name}.html", within=page.parent, kind="page") as new:
             new.write_bytes(output_file.signed(viewer.page([bundle], in_3d=in_3d)))
         links[name] = f"{quote(folder.name)}/{quote(name)}.html"
     return links

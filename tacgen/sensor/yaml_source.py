@@ -179,22 +179,25 @@ def parse_path(text: str) -> KeyPath:
 
 def load(path: Path) -> Tree:
     """Read a YAML file. Raises UserError: it cannot be read, is not text or not YAML, or has a key twice."""
-    name = str(path)
+    text = text_of(path)
+    return parse(text, Source(str(path), tuple(text.splitlines()) or ("",), path.parent))
+
+
+def text_of(path: Path) -> str:
+    """The text of a YAML file. Raises UserError: it cannot be read, or is not text."""
     try:
-        raw = regular_file.read_bytes(path, LARGEST)
+        text = regular_file.read_bytes(path, LARGEST).decode("utf-8-sig").replace("\r\n", "\n")
     except FileNotFoundError:
-        raise UserError(f"{name}: no such file") from None
+        raise UserError(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise UserError(f"{name}: is a folder, not a file") from None
-    except (OSError, ValueError) as error:
-        raise UserError(f"{name}: cannot be read: {why(error)}") from None
-    try:
-        text = raw.decode("utf-8-sig")
+        raise UserError(f"{path}: is a folder, not a file") from None
     except UnicodeDecodeError:
-        raise UserError(f"{name}: is not a text file (UTF-8)") from None
+        text = "\0"
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
     if "\0" in text:
-        raise UserError(f"{name}: is not a text file (UTF-8)")
-    return parse(text, Source(name, tuple(text.splitlines()) or ("",), path.parent))
+        raise UserError(f"{path}: is not a text file (UTF-8)")
+    return text
 
 
 def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
@@ -207,7 +210,7 @@ def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
     yaml = YAML(typ="rt")
     yaml.indent(mapping=2, sequence=4, offset=2)
     yaml.width = 4096  # no line is wrapped
-    root = yaml.load(path.read_text(encoding="utf-8-sig"))
+    root = yaml.load(text_of(path))
 
     def written(value: Any) -> Any:
         if isinstance(value, dict):

@@ -28,6 +28,7 @@ from tacgen.bundle.journal import Journal, write_plan
 from tacgen.cli_common import writing
 from tacgen.errors import LeftOut, UserError
 from tacgen.export import EXPORTERS
+from tacgen.recipe import plan_table
 from tacgen.report import dataset_card
 from tacgen.report.field_figure import FIELDS
 
@@ -63,7 +64,7 @@ def base(folder: Path) -> Path:
         more = {"sensor_document": row.sensor_document(), "notes": ["a note"], "recipe": row.document()}
         path = write(loose / f"{row.name}.h5", outputs=OUTPUTS, shape=(16, 16), **known, **more)
         path.with_suffix(".timing.json").write_text('{"frames": 12, "seconds": {"solve": 1.5, "mesh": 0.25}}')
-    write_plan(plan, loose, None)
+    write_plan(plan_table.as_json(plan), loose, None)
     with Journal(loose, None) as journal:
         for row in plan.rows:
             journal.write({"event": "scene", "scene": row.name, "status": "failed", "reason": "a reason"})
