@@ -1,4 +1,4 @@
-"""The files that commands write for their user: never in the place of an input, a pipe or somebody's file, and complete.
+"""The files that commands write for their user: never in the place of an input, pipe or somebody's file, and complete.
 
 Two kinds are known as tacgen's own, and replaced by their like as long as nobody has changed them: a page ends with a
 comment that holds the digest of its text; the digests of other results stand in RECORD beside them.
@@ -40,7 +40,7 @@ def written(
             (`regular_file.noting`) is not replaced in any case.
         overwrite: replace an existing file.
         within: the folder that the file must be in, links followed.
-        kind: a page or result replaces one that tacgen wrote, unchanged since, in any case; a result is noted in RECORD.
+        kind: a page or result replaces one that tacgen wrote, unchanged since, in any case. RECORD has the results.
 
     Raises:
         UserError: the target is an input, exists already, is not a regular file, or lies elsewhere; another process
@@ -85,7 +85,15 @@ def put(
     if kind != "result" and holds(target, content):
         return
     with written(target, inputs, overwrite=overwrite, within=within, kind=kind) as new:
-        new.write_bytes(content)
+        add(new, content)
+
+
+def add(path: Path, content: bytes | str) -> Path:
+    """Write a file that is not there yet, and the folders above it: at a path of `written`, or in a new folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("xb") as file:
+        file.write(content if isinstance(content, bytes) else content.encode())
+    return path
 
 
 def holds(target: Path, content: bytes) -> bool:

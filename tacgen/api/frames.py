@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen import output_file
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
@@ -188,18 +189,16 @@ class Frames:
         Raises:
             UserError: the file exists already and `overwrite` is not set, or the frames are those of a packed folder.
         """
-        from tacgen.output_file import written
-
         if self.bundle.group != "/":
             raise UserError(f"{self.bundle.path}: is packed; `tacgen unpack` writes its bundles")
-        with written(Path(path), [self.bundle.path], overwrite=overwrite) as new:
+        with output_file.written(Path(path), [self.bundle.path], overwrite=overwrite) as new:
             shutil.copyfile(self.bundle.path, new)
         return Path(path)
 
 
 def _unpickled(name: str, content: bytes) -> Frames:
     folder = Folder()
-    (folder.path / name).write_bytes(content)
+    output_file.add(folder.path / name, content)
     return Frames(read_bundle(folder.path / name), folder)
 
 

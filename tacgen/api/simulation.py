@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from tacgen import output_file
 from tacgen.api.frames import Folder, Frames, accepted
 from tacgen.bundle.bundle import read
 from tacgen.bundle.resume import SceneResult
@@ -232,7 +233,7 @@ class _Files:
 
     def _kept(self, content: bytes, suffix: str, where: KeyPath) -> str:
         name = hashlib.sha256(content).hexdigest()[:16] + suffix
-        (self.folder / name).write_bytes(content)
+        output_file.put(self.folder / name, content)
         self.spots[where] = Spot(*[Mark(Source("simulate", folder=self.folder))] * 2)
         return name
 

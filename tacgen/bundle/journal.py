@@ -50,10 +50,10 @@ def claimed(plan: "Plan", folder: Path, shard: Shard | None) -> Iterator[str]:
     written = [f"plan{_suffix(shard)}.json", f"journal{_suffix(shard)}.jsonl"]
     for name in [*written, *os.listdir(folder)]:
         match = NAME.fullmatch(name)
-        if match and (match[3] or name in written) and os.path.lexists(folder / name):
-            if not _is_ours(folder / name, match[1] or match[3]):
-                text = "was not written by tacgen run, which needs this name: move it, or choose another folder"
-                raise UserError(f"{folder / name}: {text}")
+        needed = match and (match[3] or name in written) and os.path.lexists(folder / name)
+        if match and needed and not _is_ours(folder / name, match[1] or match[3]):
+            text = "was not written by tacgen run, which needs this name: move it, or choose another folder"
+            raise UserError(f"{folder / name}: {text}")
     table = plan_table.as_json(plan)
     work = table if shard is None else f"{plan.inputs} in {shard[1]}"
     busy = f"{folder}: a run of another recipe, or of other values of it, is at work there: choose another folder"

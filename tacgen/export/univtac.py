@@ -21,6 +21,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.hdf5_file import written_file
 from tacgen.bundle.image_file import encoded
 from tacgen.export import names, needs, poses
+from tacgen.output_file import add
 
 METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # factors that convert a pose from mm to m
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses
@@ -37,8 +38,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         made.append(folder / f"{number}.hdf5")
         _write(bundle, made[-1])
         about[str(number)] = {"scene": name, "steps": bundle.frames, "recipe": bundle.recipe}
-    (out / "metadata.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-    return [*made, out / "metadata.json"]
+    return [*made, add(out / "metadata.json", json.dumps(about, indent=1) + "\n")]
 
 
 def _write(bundle: Bundle, path: Path) -> None:

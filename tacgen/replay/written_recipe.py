@@ -54,8 +54,8 @@ def write(files: dict[str, str], out: Path, inputs: Sequence[Path], overwrite: b
     """Write text files into a folder.
 
     Raises:
-        UserError: one is there with other contents and no `overwrite`; one of `inputs` has its name, or that of a result
-            or bundle; a result is there that tacgen did not write, or that somebody changed, and no `overwrite`.
+        UserError: one of `inputs` has the name of one, or of a result or bundle; without `overwrite`, one is there with
+            other contents, or a result that tacgen did not write or that somebody changed.
     """
     for name in comparison.FILES:
         output_file.refuse(out / name, inputs, overwrite=overwrite, kind="result")

@@ -77,7 +77,9 @@ ARCHIVES: dict[str, Callable[[Path], Any]] = {
     "deflate that is none": lambda path: flipped(archive(path), "time"),
     "lzma that is none": lambda path: flipped(archive(path, zipfile.ZIP_LZMA), "time"),
     "bzip2 that is none": lambda path: flipped(archive(path, zipfile.ZIP_BZIP2), "time"),
-    "a header cut short": lambda path: archive(path, time=header("{'descr': '<f8', 'fortran_order': False, 'shape': (")),
+    "a header cut short": lambda path: archive(
+        path, time=header("{'descr': '<f8', 'fortran_order': False, 'shape': (")
+    ),
     "a header of quotes": lambda path: archive(path, time=header("{'descr': '''")),
     "a header of brackets": lambda path: archive(path, time=header("(" * 9000)),
     "a shape beyond numbers": lambda path: archive(
@@ -279,12 +281,12 @@ def test_a_nul_is_no_text_in_any_table(tmp_path: Path) -> None:
     assert np.isnan(csv_table.number("1e308"))
 
 
-@pytest.mark.parametrize("name", ["\N{GRINNING FACE} é", "two\nlines", "a\u2028b\x85c\x7fd", "$\\bad$ {x} 50%", '"quoted"'])
+@pytest.mark.parametrize(
+    "name", ["\N{GRINNING FACE} é", "two\nlines", "a\u2028b\x85c\x7fd", "$\\bad$ {x} 50%", '"quoted"']
+)
 def test_names_of_logs_and_recipes_are_any(tmp_path: Path, name: str) -> None:
     (here := tmp_path / name).mkdir()
-    (recipe := here / f"{name}.yaml").write_text(
-        f"{BALL}outputs: [force]\ntrajectory: [{{replay: {{file: x.csv}}}}]\n"
-    )
+    (recipe := here / f"{name}.yaml").write_text(f"{BALL}outputs: [force]\ntrajectory: [{{replay: {{file: x.csv}}}}]\n")
     path = archive(here / f"{name}.npz")
     made = replay.prepare([path], str(recipe), here / "out", HOW, replay.Choice())
     (row,) = plan.load(made.recipe).rows
