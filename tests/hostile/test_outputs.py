@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,7 @@ from tacgen.replay.contact_log import Conventions
 TABLE = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x_n,force_y_n,force_z_n\n" + "".join(
     f"{t},0,0,{z},1,0,0,0,0,0,{-t}\n" for t, z in enumerate((6, 4.2, 3.8, 3.6))
 )
+KEY = "0" * 64
 REPLAYED = f"{BALL}outputs: [force]\nquality: draft\ntrajectory: [{{replay: {{file: x.csv}}}}]\n"
 
 
@@ -68,7 +70,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
         arrays["/frames/radiance"] = arrays["/frames/rgb"] / 255
 
     for number in range(2):
-        known = {"scene_index": number, "sensor_document": SENSOR}
+        known = {"scene_index": number, "sensor_document": SENSOR, "input_key": KEY}
         write(folder / f"scene-{number:05d}.h5", shape=SHAPE, outputs=OUTPUTS, frames=6, edit=edit, **known)
     return folder
 
@@ -227,7 +229,8 @@ def test_a_schema_of_somebody_s_stays() -> None:
 def data(scenes: Path) -> Path:
     shutil.copytree(scenes, "data")
     Path("data/journal.jsonl").write_text('{"time": "1", "run": "a"}\n')
-    Path("data/plan.json").write_text('{"name": "x", "scenes": [\n{"scene": "scene-00000", "frames": 6, "key": "", ')
+    rows = [{"scene": f"scene-0000{k}", "frames": 6, "key": KEY, "values": {}} for k in range(2)]
+    Path("data/plan.json").write_text(f'{{"name": "x", "scenes": [\n{json.dumps(rows)[1:]}}}\n')
     Path("data/README.md").write_bytes(output_file.signed("# a card"))
     return Path("data")
 
@@ -237,7 +240,7 @@ def test_a_report_does_not_replace_a_part_of_its_data_set(scenes: Path, name: st
     folder = data(scenes)
     for words in (("report", folder), ("view", folder)):
         for flag in ([], ["--overwrite"]):
-            refused("data/", *words, "-o", folder / name, *flag)
+            refused("belongs to the data set that is read", *words, "-o", folder / name, *flag)
 
 
 def test_what_a_command_has_read_is_not_replaced(tmp_path: Path) -> None:
@@ -386,19 +389,15 @@ def test_of_many_that_start_at_once_one_wins(tmp_path: Path) -> None:
     ready, go = os.pipe()
     for number in range(8):
         if not (child := os.fork()):
-            os.close(go)
-            os.read(ready, 1)
             try:
+                os.close(go)
+                os.read(ready, 1)
                 with atomic_file.shared(tmp_path / "run", f"work {number % 2}", "busy"):
                     with (tmp_path / "won").open("a") as file:
                         file.write(f"{number % 2}\n")
-                    os.read(ready, 1)
-                    import time
-
                     time.sleep(0.3)
-            except atomic_file.Busy:
-                pass
-            os._exit(0)
+            finally:
+                os._exit(0)
         children.append(child)
     os.close(go)
     for child in children:
@@ -426,11 +425,20 @@ def test_no_control_character_of_a_name_reaches_the_terminal(tmp_path: Path) -> 
     (tmp_path / name).mkdir()
     (recipe := tmp_path / name / "r.yaml").write_text(f"extends: quickstart\nname: {json.dumps(name)}\nnme: 1\n")
     (odd := tmp_path / name / "odd.yaml").write_text("extends: quickstart\ntrajectory: [{press: {depth_mm: 0.001}}]\n")
-    for words in (
-        ["validate", recipe], ["validate", odd], ["plan", odd], ["sensor", "show", recipe],
-        ["init", tmp_path / name / "x"], ["show", tmp_path / name], [name], ["validate", odd, f"--{name}"], ["check", tmp_path / name / "no.h5"],
-        ["run", odd, "-o", tmp_path / name, "--shard", name], ["list", name],
-    ):  # fmt: skip
+    commands: tuple[list[Any], ...] = (
+        ["validate", recipe],
+        ["validate", odd],
+        ["plan", odd],
+        ["sensor", "show", recipe],
+        ["init", tmp_path / name / "x"],
+        ["show", tmp_path / name],
+        [name],
+        ["validate", odd, f"--{name}"],
+        ["check", tmp_path / name / "no.h5"],
+        ["run", odd, "-o", tmp_path / name, "--shard", name],
+        ["list", name],
+    )
+    for words in commands:
         done = CliRunner().invoke(app, [str(word) for word in words])
         assert not set("\x1b\x07\x9b") & set(done.output), words
         assert done.exception is None or isinstance(done.exception, SystemExit), words
