@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen import output_file
+from tacgen import output_file, regular_file
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
 from tacgen.bundle.caption import caption, line
 from tacgen.bundle.force_error import force_error
+from tacgen.bundle.hdf5_file import LARGEST
 from tacgen.errors import LeftOut, UserError
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class Frames:
         """Pickled, as another process returns it, with the file, which is removed with the frames of that process."""
         if self._folder is None:
             return Frames, (self.bundle,)
-        return _unpickled, (self.bundle.path.name, self.bundle.path.read_bytes())
+        return _unpickled, (self.bundle.path.name, regular_file.read_bytes(self.bundle.path, LARGEST))
 
     def __len__(self) -> int:
         """N, the number of frames."""

@@ -119,7 +119,7 @@ def _damaged(path: Path, error: Exception) -> Damaged:
 
 
 def item_at(group: Any, path: str) -> Any:
-    """What a group holds at a path of steps. Raises KeyError: nothing; ValueError: a link, perhaps to another file."""
+    """The group or dataset at a path. Raises KeyError: there is none; ValueError: a link, perhaps to another file."""
     import h5py
 
     for step in filter(None, path.split("/")):
