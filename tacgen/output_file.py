@@ -12,7 +12,7 @@ import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from tacgen import atomic_file, regular_file
 from tacgen.errors import UserError
@@ -47,8 +47,8 @@ def written(
             writes it.
         OSError: it cannot be written.
     """
-    inputs = list(inputs)
-    refuse(target, inputs, overwrite=overwrite, within=within, kind=kind)
+    asked: dict[str, Any] = {"inputs": list(inputs), "overwrite": overwrite, "kind": kind}
+    refuse(target, **asked, within=within)
     target = Path(os.path.realpath(target))  # a link stays, and what it points to is replaced
     target.parent.mkdir(parents=True, exist_ok=True)
     new = target.with_name(f".{target.stem}.tacgen-new{target.suffix}")
@@ -56,7 +56,7 @@ def written(
         try:
             new.unlink(missing_ok=True)  # it might be a link
             yield new
-            refuse(target, inputs, overwrite=overwrite, kind=kind)  # it may have been read or made meanwhile
+            refuse(target, **asked)  # it may have been read or made meanwhile
             with new.open("rb") as file:
                 os.fsync(file.fileno())
                 digest = hashlib.file_digest(file, "sha256").hexdigest() if kind == "result" else ""
@@ -72,20 +72,11 @@ def written(
             new.unlink(missing_ok=True)
 
 
-def put(
-    target: Path,
-    content: bytes,
-    inputs: Iterable[Path] = (),
-    *,
-    overwrite: bool = False,
-    within: Path | None = None,
-    kind: Kind = "",
-) -> None:
-    """Write a whole file, unless it is there with this content; arguments and exceptions as of `written`."""
-    if kind != "result" and holds(target, content):
-        return
-    with written(target, inputs, overwrite=overwrite, within=within, kind=kind) as new:
-        add(new, content)
+def put(target: Path, content: bytes, inputs: Iterable[Path] = (), **how: Any) -> None:
+    """Write a whole file, unless it is there with this content; options and exceptions as of `written`."""
+    if how.get("kind") == "result" or not holds(target, content):
+        with written(target, inputs, **how) as new:
+            add(new, content)
 
 
 def add(path: Path, content: bytes | str) -> Path:
@@ -119,6 +110,7 @@ def refuse(
         status = os.stat(target)
     except FileNotFoundError:
         return
+    inputs = list(inputs)
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise UserError(f"{target}: is a pipe, socket or device: name a file")
     if stat.S_ISDIR(status.st_mode):
@@ -126,9 +118,8 @@ def refuse(
     for path in inputs:
         if path.is_dir() and target.resolve().is_relative_to(path.resolve()) and target.suffix in OF_DATA_SETS:
             raise UserError(f"{target}: belongs to the data set that is read: choose another name")
-        if path.exists() and os.path.samestat(os.stat(path), status):
-            raise UserError(f"{target}: is an input of this command: choose another name")
-    if regular_file.was_read(status):
+    same = (path for path in inputs if path.exists() and os.path.samestat(os.stat(path), status))
+    if regular_file.was_read(status) or any(same):
         raise UserError(f"{target}: is an input of this command: choose another name")
     if not (overwrite or _is_own(target, kind)):
         raise UserError(f"{target}: is there already; --overwrite replaces it")

@@ -6,6 +6,7 @@ An untrusted file's structure, types, shapes and filters are validated before an
 import io
 import math
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Set
 from contextlib import contextmanager
@@ -25,7 +26,9 @@ FILTERS = frozenset({1, 2, 3})  # deflate, shuffle, fletcher32: others would be 
 RATIO = 1100  # largest ratio of decompressed to compressed size; that of deflate is 1032 [-]
 SMALL = 4096  # size of a chunk that may be larger than its data [bytes]
 GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
-HEAP = b"GCOL\x01\0\0\0"  # signature of a global heap, in which HDF5 stores strings
+HEAP = re.compile(rb"GCOL\x01\0\0\0")  # signature of a global heap, in which HDF5 stores strings
+HEAD = 8  # length of the signature [bytes]
+LOOKED_AT = 2**16  # bytes of a read in which it is looked for: HDF5 reads the first 4096 of a heap by themselves
 LARGEST_HEAP = 2**26  # largest heap that is checked [bytes]
 
 
@@ -48,18 +51,15 @@ class BundleFile(io.FileIO):
         """As FileIO's. Raises OSError: a heap is damaged."""
         start = self.tell()
         count = super().readinto(buffer) or 0
-        head = bytes(buffer[:count])
-        at = head.find(HEAP)
-        while at >= 0:
-            self._check_heap(start + at)
-            at = head.find(HEAP, at + 1)
+        for match in HEAP.finditer(memoryview(buffer)[: min(count, LOOKED_AT)]):
+            self._check_heap(start + match.start())
         return count
 
     def _check_heap(self, start: int) -> None:
         """Each object of a heap is an index (2 bytes, 0: free), 6 other bytes, the size (8 bytes) and the content."""
-        size = int.from_bytes(os.pread(self.fileno(), 8, start + len(HEAP)), "little")
+        size = int.from_bytes(os.pread(self.fileno(), 8, start + HEAD), "little")
         heap = os.pread(self.fileno(), min(size, LARGEST_HEAP), start)
-        at = len(HEAP) + 8
+        at = HEAD + 8
         while at + 16 <= len(heap):
             length = int.from_bytes(heap[at + 8 : at + 16], "little")
             used = heap[at : at + 2] != b"\0\0"

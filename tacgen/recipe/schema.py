@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from tacgen import output_file, regular_file
-from tacgen.errors import UserError, why
+from tacgen.errors import UserError, printable, why
 from tacgen.recipe import assets, loading
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
-from tacgen.sensor.yaml_source import at, load, text_of
+from tacgen.sensor.yaml_source import at, load, quoted, text_of
 
 SCHEMA_FILE, SENSOR_SCHEMA_FILE = "tacgen.schema.json", "tacgen-sensor.schema.json"
 LARGEST_SCHEMA = 2**24  # [bytes]
@@ -90,7 +90,8 @@ def _start(path: Path, sensor: bool, start: str) -> tuple[Path, str, dict[str, b
     beside: dict[str, bytes] = {}
     same = os.path.realpath(found.parent) == os.path.realpath(path.parent)
     title, *lines = (text_of(found) if same else _moved(found, found.parent, beside)).splitlines()
-    use = f"#   tacgen validate {path}" if sensor else f"#   tacgen run {path} -o out/first"
+    place = printable(" ".join(str(path).split()))
+    use = f"#   tacgen validate {place}" if sensor else f"#   tacgen run {place} -o out/first"
     lines = [use if line.startswith(("#   tacgen run", "#   tacgen validate")) else line for line in lines]
     lines = [title, *lines] if use in lines else [title, use, *lines] if title.startswith("#") else [use, title, *lines]
     head = f"# yaml-language-server: $schema={SENSOR_SCHEMA_FILE if sensor else SCHEMA_FILE}"
@@ -99,7 +100,8 @@ def _start(path: Path, sensor: bool, start: str) -> tuple[Path, str, dict[str, b
         text = text.replace("name: quickstart", "name: first")
     elif name:
         origin = name if name in assets.list_sensors() else ""
-        lines = [f"name: {path.stem}", *([f"base: {origin}{BASE_NOTE}"] if origin else [])]
+        called = path.stem if re.fullmatch(r"[a-zA-Z]\w*", path.stem) else quoted(Path(path.stem))
+        lines = [f"name: {called}", *([f"base: {origin}{BASE_NOTE}"] if origin else [])]
         text = re.sub(r"^name:.*$", lambda _: "\n".join(lines), text, count=1, flags=re.M)
     return found, text, beside
 
@@ -121,9 +123,9 @@ def _moved(source: Path, folder: Path, beside: dict[str, bytes]) -> str:
             continue
         place = os.path.relpath(other, folder)
         if _shipped(other):
-            new = other.stem
+            new = Path(other.stem)
         elif place.startswith("..") or not other.resolve().is_relative_to(folder.resolve()):
-            new = str(other.resolve())
+            new = other.resolve()
         else:
             if place not in beside:
                 beside[place] = b""  # a file may name the one that names it
@@ -133,10 +135,8 @@ def _moved(source: Path, folder: Path, beside: dict[str, bytes]) -> str:
         line, column = spot.value.line, spot.value.column
         written = next((t for t in (name, f'"{name}"', f"'{name}'") if lines[line][column:].startswith(t)), None)
         if written is None:
-            raise UserError(
-                spot.value.point("write this path in one line and without escapes, so that it can be copied")
-            )
-        lines[line] = lines[line][:column] + json.dumps(new, ensure_ascii=False) + lines[line][column + len(written) :]
+            raise UserError(spot.value.point("write this path in one line, without escapes, so that it can be copied"))
+        lines[line] = lines[line][:column] + quoted(new) + lines[line][column + len(written) :]
     return "\n".join([*lines, ""])
 
 

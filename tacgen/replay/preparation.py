@@ -1,6 +1,5 @@
 """From logs and a recipe to a recipe that replays the logs."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -56,8 +55,6 @@ def prepare(
         UserError: a log or the recipe is not valid; no row comes near contact; files of these names are in the way.
     """
     base = assets.recipe_path(recipe)
-    if re.search("[\ud800-\udfff]", str(base.resolve())):
-        raise UserError(f"{base}: its path is no text (UTF-8), which a recipe could hold: rename it")
     tree = loading.merged(base, sets)
     template, given = _template(tree)
     row = _without_movements(tree)
@@ -83,7 +80,7 @@ def prepare(
     }
     files = {f"log-{k:05d}.csv": written_recipe.table(log) for k, log in enumerate(touching)}
     up = {"indenter": {"up": body.indenter.up}} if body.indenter.shape == "mesh" else {}
-    source = recipe if base == assets.folder("recipes") / f"{recipe}.yaml" else str(base.resolve())
+    source = Path(recipe) if base == assets.folder("recipes") / f"{recipe}.yaml" else base.resolve()
     start = {"start": Start().model_dump()} if "start" in tree.data else {}
     left = tuple(text for text in sets if not text.strip().startswith(WRITTEN))
     files[RECIPE] = written_recipe.text(source, left, move, list(files), start | up | extra)

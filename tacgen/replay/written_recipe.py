@@ -13,7 +13,7 @@ from tacgen import output_file
 from tacgen.errors import UserError, printable
 from tacgen.replay import comparison
 from tacgen.replay.contact_log import ContactLog
-from tacgen.sensor.yaml_source import dumped
+from tacgen.sensor.yaml_source import quoted
 
 Array = np.ndarray
 RECIPE = "recipe.yaml"
@@ -40,12 +40,12 @@ def table(log: ContactLog) -> str:
     return "\n".join(lines) + "\n"
 
 
-def text(base: str, sets: Sequence[str], move: dict[str, Any], tables: list[str], more: dict[str, Any]) -> str:
+def text(base: Path, sets: Sequence[str], move: dict[str, Any], tables: list[str], more: dict[str, Any]) -> str:
     """The text of a recipe that replays tables, each in a scene of its own."""
     overrides = "".join(f" --set {shlex.quote(' '.join(text.split()))}" for text in sets)
     vary = {"method": "grid", "over": {"trajectory[0].replay.file": {"choice": tables}}} if len(tables) > 1 else None
     keys = {"trajectory": [{"replay": {"file": tables[0], **move}}], **more}
-    lines = [f"# {printable(f'tacgen run {RECIPE} -o OTHER_FOLDER{overrides}')}", dumped({"extends": base}).rstrip()]
+    lines = [f"# {printable(f'tacgen run {RECIPE} -o OTHER_FOLDER{overrides}')}", f"extends: {quoted(base)}"]
     lines += [f"{key}: {json.dumps(value)}" for key, value in {**keys, "vary": vary}.items()]
     return "\n".join(lines) + "\n"
 

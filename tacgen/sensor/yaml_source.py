@@ -257,6 +257,15 @@ def dumped(data: Any) -> str:
     return out.getvalue()
 
 
+def quoted(path: Path) -> str:
+    """A path as YAML in one line. Raises UserError: it is no text, as the names of files may be."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise UserError(f"{path}: is no text (UTF-8), which a recipe could hold: rename it") from None
+    return dumped([str(path)]).removeprefix("- ").rstrip("\n")
+
+
 def parse(text: str, source: Source) -> Tree:
     """Parse YAML text; marks refer to `source`. Raises UserError as `load` does."""
     from ruamel.yaml import YAML

@@ -218,6 +218,17 @@ def test_init_waits_for_no_pipe() -> None:
     refused("not a regular file", "init", "--from", start, "x/mine.yaml")
 
 
+@pytest.mark.parametrize("name", ["two\nlines", "a: b", "123", "\N{GRINNING FACE}\x7f"])
+def test_init_writes_files_of_any_name_to_folders_of_any_name(name: str) -> None:
+    (start := Path(name, "a", "r.yaml")).parent.mkdir(parents=True)
+    Path(name, "base.yaml").write_text("extends: quickstart\n")
+    start.write_text("extends: ../base.yaml\n")
+    assert command("init", "--from", start, Path("b", name, f"{name}.yaml")) == (0, "")
+    assert command("validate", Path("b", name, f"{name}.yaml"))[0] == 0
+    assert command("init", "--sensor", "--from", "digit", Path("b", name, f"s{name}.yaml")) == (0, "")
+    assert command("validate", Path("b", name, f"s{name}.yaml"))[0] == 0
+
+
 def test_a_schema_of_somebody_s_stays() -> None:
     Path("tacgen.schema.json").write_text('{"$schema": "http://json-schema.org", "title": "mine"}')
     refused("tacgen.schema.json: is there already", "init", "mine.yaml")
