@@ -66,7 +66,7 @@ def write_starter(path: Path, *, sensor: bool, start: str = "", overwrite: bool)
             raise UserError(f"{home / name}: is named by {found}, which is copied: choose another name")
         files[home / name] = (content, {"overwrite": overwrite, "within": home})
     for target, (content, how) in files.items():
-        if not output_file.holds(target, content):
+        if target == path or not output_file.holds(target, content):
             output_file.refuse(target, [found], **how)
     for target, (content, how) in files.items():
         output_file.put(target, content, [found], **how)

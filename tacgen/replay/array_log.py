@@ -49,11 +49,16 @@ def hdf5(path: Path, group: str, layout: Layout) -> Arrays:
     with hdf5_file.opened(path) as root:
         try:
             inner = hdf5_file.item_at(root, group)
-            names = inner.keys()
-        except (KeyError, ValueError, AttributeError):  # nothing, a link, a dataset
-            there = ", ".join(root) or "none"
+            names = _names(inner)
+        except (KeyError, ValueError, AttributeError, TypeError):  # nothing, a link, a dataset
+            there = ", ".join(_names(root)) or "none"
             raise UserError(f"{path}: cannot be read: it has no group {group}; there are: {there}") from None
         return {name: _dataset(path, inner, name) if name in layout.names else UNREAD for name in names}
+
+
+def _names(group: Any) -> list[str]:
+    """The names of what is in a group; h5py gives bytes for one that is no text."""
+    return [name if isinstance(name, str) else name.decode(errors="backslashreplace") for name in group]
 
 
 def _dataset(path: Path, group: Any, name: str) -> Array:

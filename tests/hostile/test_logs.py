@@ -6,7 +6,6 @@ import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import h5py
@@ -15,7 +14,6 @@ import pytest
 from helpers.small_recipe import BALL
 
 from hostile import attempts
-from hostile.mutations import damaged_bytes, datasets
 from tacgen import csv_table, replay
 from tacgen.errors import UserError
 from tacgen.recipe import plan
@@ -27,10 +25,7 @@ HOW = Conventions("tacgen", "wxyz", "mm")
 
 
 def arrays() -> dict[str, Any]:
-    position = np.zeros((N, 3))
-    position[:, 2] = (6.0, 4.2, 3.8, 3.6)  # of the centre of a ball of 4 mm
-    turn = np.tile([1.0, 0, 0, 0], (N, 1))
-    return {"time": 0.1 * np.arange(N), "object_position": position, "object_quaternion": turn, "force": position}
+    return {name: values for name, values in attempts.log_arrays().items() if not isinstance(values, str)}
 
 
 def npy(array: np.ndarray) -> bytes:
@@ -228,40 +223,6 @@ def test_texts_may_be_bytes(tmp_path: Path, kind: str) -> None:
             file.update(arrays() | said | {"object_quaternion": np.tile([0, 0, 0, 1.0], (N, 1))})
     (log,) = log_file.read(path, Conventions())
     assert log.body[0, 2, 3] == pytest.approx(6000.0)
-
-
-def damaged(rng: Random, folder: Path) -> str:
-    """One of the three kinds of log, spoilt in its bytes, or an array of it exchanged."""
-    kind = rng.choice(("npz", "h5", "csv"))
-    path = folder / f"log.{kind}"
-    if kind == "csv":
-        rows = [f"{t},0,0,{z},1,0,0,0,{f}" for t, z, f in ((0, 6, 0), (1, 4, 0.1), (2, 3.8, 1))]
-        path.write_text("\n".join(["time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_z_n", *rows]) + "\n")
-    elif kind == "h5":
-        hdf5(path)
-    else:
-        archive(path, rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA)))
-    if kind == "h5" and rng.random() < 0.4:
-        with h5py.File(path, "a") as file:
-            name = rng.choice(datasets(file))
-            del file[name]
-            file[name] = rng.choice((h5py.Empty("f8"), b"\xff", np.zeros((N, 0)), np.full((N, 3), np.nan), np.zeros(2)))
-        return f"h5: another {name}"
-    return f"{kind}: {damaged_bytes(rng, folder)}"
-
-
-def test_damaged_logs(tmp_path: Path) -> None:
-    bad, outcomes = [], set()
-    for seed in range(24):
-        (folder := tmp_path / str(seed)).mkdir()
-        said, note = damaged(Random(f"logs {seed}"), folder), tmp_path / f"note{seed}"
-        (path,) = folder.iterdir()
-        found = attempts.contained(lambda path=path: (log_file.read(path, HOW), "accepted")[1], note)
-        outcomes.add(found)
-        if found not in attempts.GOOD:
-            bad.append(f"{seed}: {said}: {found} {note.read_text() if note.exists() else ''}")
-    assert bad == []
-    assert outcomes == set(attempts.GOOD)
 
 
 HEAD = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x_n,force_y_n,force_z_n\n"

@@ -19,6 +19,7 @@ from helpers.small_recipe import BALL
 from helpers.synthetic import OUTPUTS, attributes, write
 from typer.testing import CliRunner
 
+from hostile.attempts import LOG_TABLE
 from tacgen import atomic_file, batch, output_file, regular_file, replay
 from tacgen.bundle.resume import SceneResult
 from tacgen.cli import app
@@ -29,9 +30,6 @@ from tacgen.replay import comparison
 from tacgen.replay.comparison import Compared
 from tacgen.replay.contact_log import Conventions
 
-TABLE = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x_n,force_y_n,force_z_n\n" + "".join(
-    f"{t},0,0,{z},1,0,0,0,0,0,{-t}\n" for t, z in enumerate((6, 4.2, 3.8, 3.6))
-)
 KEY = "0" * 64
 REPLAYED = f"{BALL}outputs: [force]\nquality: draft\ntrajectory: [{{replay: {{file: x.csv}}}}]\n"
 
@@ -85,7 +83,7 @@ def _text(recipe: str) -> str:
 
 @pytest.mark.parametrize("name", ["forces.csv", "forces.txt", "log-00000.csv"])
 def test_a_replay_beside_its_log_keeps_the_log(name: str) -> None:
-    Path(name).write_text(TABLE)
+    Path(name).write_text(LOG_TABLE)
     Path("r.yaml").write_text(REPLAYED)
     refused("is an input", "replay", name, "--recipe", "r.yaml", "-o", ".", "--overwrite")
 
@@ -114,7 +112,7 @@ def found(made: replay.Prepared, force: float) -> list[Compared]:
 @pytest.mark.parametrize("name", ["forces.csv", "forces.png", "recipe.yaml"])
 def test_results_of_a_replay_are_replaced_until_somebody_edits_them(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tacgen.report.force_figure.draw", lambda drawn, out: output_file.add(out, repr(drawn)))
-    Path("log.csv").write_text(TABLE)
+    Path("log.csv").write_text(LOG_TABLE)
     Path("r.yaml").write_text(REPLAYED)
     made = prepared()
     comparison.write(found(made, 1.0), Path("out"))
@@ -146,7 +144,7 @@ def theirs(folder: Path, **named: str) -> Path:
     """A recipe of somebody's that replays a table, extends another recipe and has a sensor of its own."""
     for path in ("poses.csv", "sub/poses.csv", "../../poses.csv"):
         (place := folder / path).parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(TABLE)
+        place.write_text(LOG_TABLE)
     (folder / "base.yaml").write_text(
         f"{BALL}outputs: [force]\nsensor: units/mine.yaml\n".replace("\nsensor: gel", "\n#")
     )
@@ -460,7 +458,7 @@ def test_a_loop_of_hostile_folders(scenes: Path) -> None:
     shutil.copytree(scenes, "data")
     Path("r.yaml").write_text(REPLAYED)
     for name in ("forces.csv", "log-00000.csv", "journal.jsonl"):
-        Path("data", name).write_text(TABLE)
+        Path("data", name).write_text(LOG_TABLE)
     kept = content(Path("data"))
     rng, places = Random(1), ["scene-00000.h5", "scene-00001.h5", "forces.csv", "log-00000.csv", "journal.jsonl", "."]
     for _ in range(25):
