@@ -63,4 +63,4 @@ def opened(path: Path, most: int, *, noted: bool = True) -> BufferedReader:
 def read_bytes(path: Path, most: int, *, noted: bool = True) -> bytes:
     """All of a file. Raises OSError as `descriptor` does."""
     with opened(path, most, noted=noted) as file:
-        return file.read(most)
+        return file.read(min(most, os.fstat(file.fileno()).st_size))  # Python makes room for as much as it is asked for
