@@ -14,6 +14,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from benchmarks import results_page, summary
+from tacgen import regular_file
 from tacgen.errors import UserError
 
 BENCHES = {  # name: module
@@ -41,10 +42,11 @@ def run(names: Sequence[str], out: Path, level: results_page.Level, say: results
     """Run these benches, or all, and write `out`/RESULTS.md and `out`/results; returns the names of those that failed.
 
     Raises:
-        UserError: there is no bench of that name.
+        UserError: there is no bench of that name, or a file that no bench wrote has the name of a result.
     """
     if unknown := [name for name in names if name not in BENCHES]:
         raise UserError(f"{unknown[0]}: must be one of {', '.join(BENCHES)}")
+    _refuse_foreign(names or tuple(BENCHES), out)
     os.environ.update(results_page.one_thread())  # of other processes, and of libraries that are loaded later
     with threadpool_limits(1):  # of NumPy's, which is loaded: threads that wait count as processor seconds
         return _failed(names or tuple(BENCHES), out, level, say)
@@ -69,6 +71,20 @@ def _failed(names: Sequence[str], out: Path, level: results_page.Level, say: res
         record(name, found, time.perf_counter() - started, out)
         say(f"{name}: {time.perf_counter() - started:.0f} s")
     return failed
+
+
+def _refuse_foreign(names: Sequence[str], out: Path) -> None:
+    """UserError if a file that no bench wrote has the name of one that these benches write."""
+    pairs = [
+        (out / PAGE, f"# Results\n\n{HEAD[:30]}"),
+        *((out / FOLDER / f"{name}.json", '{\n "bench":') for name in names),
+    ]
+    for path, begins in pairs:
+        plot = path.with_suffix(".png")
+        if path.exists() and not regular_file.read_bytes(path, 2**30).startswith(begins.encode()):
+            raise UserError(f"{path}: was not written by tacgen bench, which needs this name: choose another folder")
+        if path.suffix == ".json" and plot.exists() and not path.exists():
+            raise UserError(f"{plot}: was not written by tacgen bench, which needs this name: choose another folder")
 
 
 def record(name: str, found: results_page.Result, seconds: float, out: Path) -> None:

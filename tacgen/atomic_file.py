@@ -110,6 +110,56 @@ def _locked(path: Path, tries: int) -> int | None:
     return None
 
 
+@contextmanager
+def shared(target: Path, work: str, busy: str) -> Iterator[None]:
+    """Claim `target` together with all processes that do the same `work`; where another is done, raise Busy at once.
+
+    Without effect on a file system without locks.
+
+    Args:
+        busy: the message.
+    """
+    path = claim_path(target)
+    handle = _shared(path, work.encode())
+    if handle is None:
+        raise Busy(busy)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # others are still at work
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.unlink(path)
+        os.close(handle)
+
+
+def _shared(path: Path, work: bytes) -> int | None:
+    """A handle of the file, with a lock that processes of this `work` share; None if others hold the lock.
+
+    Who is alone writes the work into the file, then shares the lock. That is not atomic: a process that comes between
+    writes its own, so what is read under the shared lock decides.
+    """
+    for _ in range(50):
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            with suppress(BlockingIOError):
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.ftruncate(handle, 0)
+                os.pwrite(handle, work, 0)
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(handle), os.stat(path)):
+                if os.pread(handle, len(work) + 1, 0) == work:
+                    return handle
+                os.close(handle)
+                return None
+        except (BlockingIOError, FileNotFoundError):  # another process shares or deletes it at this moment
+            pass
+        except OSError:  # a file system without locks
+            return handle
+        os.close(handle)
+        time.sleep(0.02)
+    return None
+
+
 class Sink:
     """The file object that HDF5 writes a part file through.
 

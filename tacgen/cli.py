@@ -22,6 +22,7 @@ from tacgen.cli_common import (
     probe,
     shard_of,
     show_result,
+    tell,
     warn,
     workers_of,
     writing,
@@ -52,7 +53,7 @@ app.add_typer(sensors, name="sensor")
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"tacgen {__version__}")
+        tell(f"tacgen {__version__}")
         raise typer.Exit
 
 
@@ -179,19 +180,19 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     if isinstance(data, dict) and ("tacgen_sensor" in data or "gel" in data):
         sensor, tree = loading.read_sensor(path)
         warn(usual_values.warnings(sensor, tree))
-        typer.echo(f"{path}: a valid sensor, {sensor.name}")
+        tell(f"{path}: a valid sensor, {sensor.name}")
         assumed = usual_values.assumed(sensor) if sensor.base else []
         for part in [*assumed, *sensor_checks.bonded_note(sensor, loading.solid_folder(tree))]:
-            typer.echo(f"note: {part}")
+            tell(f"note: {part}")
         return
     plan = plan_of(file, sets)
     row = plan.rows[0]
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
-    typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
+    tell(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
     bonded = sensor_checks.bonded_note(row.sensor, row.folders.get(("sensor", *loading.SOLID)))
     for note in [*row.notes, *bonded, *scene_checks.notes(plan.rows)]:
-        typer.echo(f"note: {note}")
+        tell(f"note: {note}")
 
 
 @app.command()
@@ -203,7 +204,7 @@ def schema(
 
     from tacgen.recipe.schema import recipe_schema, sensor_schema
 
-    typer.echo(json.dumps(sensor_schema() if sensor else recipe_schema(), indent=1))
+    tell(json.dumps(sensor_schema() if sensor else recipe_schema(), indent=1))
 
 
 @app.command("plan")
@@ -227,7 +228,7 @@ def show_plan(
         cost = priced(plan, workers_of(workers))
         show_result(cost, f"{counted(len(plan.rows), 'scene')} of {plan.name}: {cost['text']}", as_json)
         return
-    typer.echo((plan_table.as_json if as_json else plan_table.as_csv if as_csv else plan_table.as_text)(plan), nl=False)
+    tell((plan_table.as_json if as_json else plan_table.as_csv if as_csv else plan_table.as_text)(plan), end=False)
 
 
 @app.command()
@@ -246,7 +247,7 @@ def init(
     path = path or Path(f"{kind}.yaml")
     with writing(path.parent):
         written, schema_file = write_starter(path, sensor=sensor, start=start, overwrite=overwrite)
-    typer.echo(f"{written}: a {kind} to start from ({schema_file} completes it in an editor)")
+    tell(f"{written}: a {kind} to start from ({schema_file} completes it in an editor)")
 
 
 @app.command("list")
@@ -382,7 +383,7 @@ def bench(
             names or [],
             out,
             "full" if full else "smoke" if smoke else "normal",
-            lambda text: typer.echo(text, err=True),
+            lambda text: say(text, err=True),
         )
-    typer.echo(str(out / benches.PAGE))
+    tell(str(out / benches.PAGE))
     raise typer.Exit(1 if failed else 0)

@@ -41,8 +41,7 @@ def optics(
     from tacgen.calibrate import led_fit as fitting
 
     inputs = [Path(sensor), images]
-    for path in (out, figure):
-        allowed(path, inputs, overwrite)
+    allowed((out, figure), inputs, overwrite)
     fitted = fitting.optics(sensor, images, fitting.FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
     lines, problem = list(fitted.lines()), fitted.problem()
     if figure is not None:
@@ -81,8 +80,7 @@ def material(
     from tacgen.calibrate import material as fitting
 
     inputs = [Path(sensor), Path(recipe), data]
-    for path in (out, plot):
-        allowed(path, inputs, overwrite)
+    allowed((out, plot), inputs, overwrite)
     fitted = fitting.material(sensor, recipe, data, fitting.Unknowns(not no_zero, second, prony))
     lines = list(fitted.lines())
     if plot is not None:
@@ -124,8 +122,7 @@ def unit(
     from tacgen.calibrate.led_fit import FitLimits
 
     inputs = [Path(sensor), images]
-    for path in (out, plot):
-        allowed(path, inputs, overwrite)
+    allowed((out, plot), inputs, overwrite)
     limits = FitLimits(tolerance_mm, tolerance_deg, no_markers)
     fitted = fitting.unit(sensor, images, fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits))
     lines = list(fitted.lines())

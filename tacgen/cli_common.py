@@ -12,7 +12,7 @@ import click
 import typer
 from typer.core import TyperGroup
 
-from tacgen import output_file
+from tacgen import output_file, regular_file
 from tacgen.errors import LeftOut, UserError, printable
 from tacgen.terminal import dropping, open_standard_streams, say
 
@@ -41,7 +41,7 @@ class Commands(TyperGroup):
             if error.errno not in (*DISK_ERRORS, *SCARCE):
                 raise
             place = f"{error.filename}: " if error.filename else ""
-            say(printable(f"{place}{error.strerror}"), err=True)
+            say(f"{place}{error.strerror}", err=True)
             with dropping(sys.stdout):  # what a full disk has not taken would fail again on exit, with another code
                 sys.stdout.flush()
             sys.exit(2)
@@ -50,12 +50,13 @@ class Commands(TyperGroup):
         """Refuse what no file name can hold; only programs that call commands in their own process can give it."""
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument holds a NUL character")
-        return super().parse_args(ctx, args)
+        with _usage_printable():
+            return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         try:
-            with _left_out_told():
+            with _left_out_told(), _usage_printable(), regular_file.noting():
                 return super().invoke(ctx)
         except UserError as error:
             for line in error.lines:
@@ -72,6 +73,16 @@ class Commands(TyperGroup):
 
 
 @contextmanager
+def _usage_printable() -> Iterator[None]:
+    """Escape control characters of arguments in the messages about them."""
+    try:
+        yield
+    except click.UsageError as error:
+        error.message = printable(error.message)  # type: ignore[misc]
+        raise
+
+
+@contextmanager
 def _left_out_told() -> Iterator[None]:
     """Print LeftOut warnings as a line each; others as usual."""
     import warnings
@@ -82,7 +93,7 @@ def _left_out_told() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *more: Any) -> None:
             if issubclass(category, LeftOut):
-                warn([printable(str(message))])
+                warn([str(message)])
             else:
                 usual(message, category, *more)
 
@@ -126,7 +137,12 @@ def show_result(plain: Any, text: str, as_json: bool) -> None:
     """Print a result as text or JSON."""
     import json
 
-    typer.echo(json.dumps(plain, indent=1) if as_json else printable(text))
+    tell(json.dumps(plain, indent=1) if as_json else text)
+
+
+def tell(text: str, *, end: bool = True) -> None:
+    """Print a result, by default with a line end, or fail as the stream does; control characters are escaped."""
+    typer.echo(printable(text), nl=end)
 
 
 def line(event: dict[str, Any]) -> None:
@@ -148,16 +164,19 @@ def writing(place: Path) -> Iterator[None]:
 
 
 @contextmanager
-def written(out: Path, inputs: Iterable[Path], overwrite: bool) -> Iterator[Path]:
+def written(out: Path, inputs: Iterable[Path], overwrite: bool, kind: output_file.Kind = "") -> Iterator[Path]:
     """A path to write to, which gets the name `out` when it is complete; errors as of `output_file.written`."""
-    with writing(out), output_file.written(out, inputs, overwrite=overwrite) as path:
+    with writing(out), output_file.written(out, inputs, overwrite=overwrite, kind=kind) as path:
         yield path
 
 
-def allowed(out: Path | None, inputs: Iterable[Path], overwrite: bool) -> None:
-    """UserError, before long work, if `out` could not be written afterwards."""
-    if out is not None:
+def allowed(outs: Iterable[Path | None], inputs: Iterable[Path], overwrite: bool) -> None:
+    """UserError, before long work, if one of `outs` could not be written afterwards, or two are one file."""
+    given = [out for out in outs if out is not None]
+    for out in given:
         output_file.refuse(out, inputs, overwrite=overwrite)
+    if len({out.resolve() for out in given}) < len(given):
+        raise UserError(f"{given[0]}: is to hold two results: give each a file of its own")
 
 
 def probe(folder: Path) -> None:

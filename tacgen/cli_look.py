@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli_common import Overwrite, written
-from tacgen.errors import UserError, printable
+from tacgen.cli_common import Overwrite, tell, written
+from tacgen.errors import UserError
 
 
 def report(
@@ -20,9 +20,9 @@ def report(
     if folder.is_file():
         raise UserError(f"{folder}: is a file, and a report is of a folder; tacgen show and view draw one bundle")
     out = out or folder / "report.html"
-    with written(out, [folder], overwrite) as path:
+    with written(out, [folder], overwrite, "page") as path:
         reporting.write(folder, path, out)
-    typer.echo(str(out))
+    tell(str(out))
 
 
 def show(
@@ -45,7 +45,7 @@ def show(
 
         with written(animate, [path], overwrite) as film:
             animation.write(path, film)
-        typer.echo(str(animate))
+        tell(str(animate))
         return
     from tacgen.report import bundle_figure as showing
     from tacgen.report import dataset_summary
@@ -53,7 +53,7 @@ def show(
     if out is None:
         if field:
             raise UserError("--field: draws a picture, and needs --out to say where")
-        typer.echo(printable(dataset_summary.summary(path) if path.is_dir() else showing.summary(path)))
+        tell(dataset_summary.summary(path) if path.is_dir() else showing.summary(path))
         return
     with written(out, [path], overwrite) as picture:
         if field:
@@ -62,7 +62,7 @@ def show(
             field_figure.picture(path, field, picture)
         else:
             showing.picture(path, picture)
-    typer.echo(str(out))
+    tell(str(out))
 
 
 def several(path: Path) -> bool:
@@ -84,15 +84,15 @@ def view(
     from tacgen.report import scene_pages, viewer
 
     if other is None and several(path):
-        with written(out, [path], overwrite) as page:
+        with written(out, [path], overwrite, "page") as page:
             left = scene_pages.write(path, page, out)
-        typer.echo(f"{out}" + (f": {left} scenes have no page" if left else ""))
+        tell(f"{out}" + (f": {left} scenes have no page" if left else ""))
         if browse:
             typer.launch(str(out))
         return
     bundles = [path] if other is None else [path, other]
-    with written(out, bundles, overwrite) as page:
+    with written(out, bundles, overwrite, "page") as page:
         viewer.write(bundles, page)
-    typer.echo(str(out))
+    tell(str(out))
     if browse:
         typer.launch(str(out))

@@ -55,7 +55,7 @@ def replay(
         warn(prepared.notes)
         results = _run(plan_of(str(prepared.recipe), list(prepared.sets)), out, processes, overwrite)
         found = replaying.compared(prepared, results)
-        written = comparison.write(found, out)
+        written = comparison.write(found, out, logs, overwrite=overwrite)
     plain = {"files": [str(path) for path in written], "logs": [one.summary() for one in found]}
     lines = [comparison.text(found), *(str(path) for path in written)]
     lines += [f"{result.name}: {result.status}: {result.reason}" for result in results if result.status == "failed"]

@@ -1,11 +1,10 @@
 """The commands about sensor files."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tacgen.cli_common import AsJson, show_result, warn
+from tacgen.cli_common import AsJson, show_result, tell, warn
 
 sensors = typer.Typer(no_args_is_help=True, help="Look at sensor files.")
 
@@ -24,12 +23,12 @@ def show(
     """Print the values of a sensor with their units and sources, or its file."""
     from tacgen.recipe import assets, loading
     from tacgen.report import sensor_sheet
-    from tacgen.sensor import usual_values
+    from tacgen.sensor import usual_values, yaml_source
 
     path = assets.sensor_path(sensor)
     found, tree = loading.read_sensor(path)
     if as_yaml:
-        typer.echo(Path(path).read_text(encoding="utf-8-sig"), nl=False)
+        tell(yaml_source.text_of(path), end=False)
         return
     warn(usual_values.warnings(found, tree))
     text = f"{path}\n{sensor_sheet.as_text(found)}"

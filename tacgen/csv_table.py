@@ -8,6 +8,7 @@ from tacgen import regular_file
 from tacgen.errors import why
 
 LARGEST = 10_000_000  # [bytes]
+LARGEST_NUMBER = 1e100  # what is plotted and summed must not overflow
 MOST_MESSAGES = 5  # reported for one table
 Record = tuple[int, list[str]]  # number of a line from 1, and its cells without spaces around them
 Rows = list[tuple[int, dict[str, str]]]
@@ -24,7 +25,9 @@ def records(content: bytes, comments: tuple[str, ...] = ()) -> tuple[list[Record
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        raise ValueError("is not a text file (UTF-8)") from None
+        lines = ["\0"]
+    if any("\0" in line for line in lines):
+        raise ValueError("is not a text file (UTF-8)")
     read: list[Record] = []
     wrong: list[tuple[int, str]] = []
     for number, line in enumerate(lines, 1):
@@ -81,9 +84,9 @@ def few(messages: list[str]) -> list[str]:
 
 
 def number(text: str) -> float:
-    """A finite number, or nan."""
+    """A number below LARGEST_NUMBER, or nan."""
     try:
         value = float(text)
     except ValueError:
         return math.nan
-    return value if math.isfinite(value) else math.nan
+    return value if abs(value) < LARGEST_NUMBER else math.nan

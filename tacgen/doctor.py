@@ -82,12 +82,15 @@ def _hdf5() -> Iterator[Diagnosis]:
     import h5py
     import numpy as np
 
+    from tacgen import atomic_file
+    from tacgen.bundle import hdf5_file
+
     data = np.arange(12.0).reshape(3, 4)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trial.h5"
-        with h5py.File(path, "w") as file:
+        with atomic_file.published(path) as sink, hdf5_file.written_file(sink) as file:
             file.create_dataset("data", data=data, compression="gzip", shuffle=True, fletcher32=True)
-        with h5py.File(path) as file:
+        with hdf5_file.opened(path) as file:
             same = bool(np.array_equal(file["data"][()], data))
     yield Diagnosis("HDF5", same, f"round trip with HDF5 {h5py.version.hdf5_version}")
 

@@ -1,5 +1,6 @@
 """Errors that a user can fix; all others are bugs and keep their traceback."""
 
+import re
 import unicodedata
 from collections.abc import Iterable
 
@@ -31,7 +32,7 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c in "\t\n" or unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in text)
+    return re.sub("[^\t\n -~]", lambda m: m[0] if unicodedata.category(m[0])[0] != "C" else ascii(m[0])[1:-1], text)
 
 
 def why(error: Exception) -> str:

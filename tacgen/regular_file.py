@@ -3,15 +3,36 @@
 import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 
+_read: set[tuple[int, int]] | None = None  # device and inode of the files that the present command has opened
 
-def descriptor(path: Path, most: int) -> int:
+
+@contextmanager
+def noting() -> Iterator[None]:
+    """Note in this block which files are read, so that no output replaces one of them; see `was_read`."""
+    global _read
+    before, _read = _read, set()
+    try:
+        yield
+    finally:
+        _read = before
+
+
+def was_read(status: os.stat_result) -> bool:
+    """Whether this file has been read in the present block of `noting`."""
+    return _read is not None and (status.st_dev, status.st_ino) in _read
+
+
+def descriptor(path: Path, most: int, *, noted: bool = True) -> int:
     """The descriptor of an opened file.
 
     Args:
         most: largest size [bytes].
+        noted: it is an input: no output of this command may replace it.
 
     Raises:
         OSError: it does not exist, is a folder, pipe, socket or device, or is larger; see its `strerror`.
@@ -26,18 +47,20 @@ def descriptor(path: Path, most: int) -> int:
         if status.st_size > most:
             size = f"{status.st_size / 1e6:.0f} MB, at most {most / 1e6:.0f} can be read"
             raise OSError(errno.EFBIG, size, str(path))
+        if noted and _read is not None:
+            _read.add((status.st_dev, status.st_ino))
     except BaseException:
         os.close(handle)
         raise
     return handle
 
 
-def opened(path: Path, most: int) -> BufferedReader:
+def opened(path: Path, most: int, *, noted: bool = True) -> BufferedReader:
     """A file to read from; raises as `descriptor` does."""
-    return os.fdopen(descriptor(path, most), "rb")
+    return os.fdopen(descriptor(path, most, noted=noted), "rb")
 
 
-def read_bytes(path: Path, most: int) -> bytes:
+def read_bytes(path: Path, most: int, *, noted: bool = True) -> bytes:
     """All of a file. Raises OSError as `descriptor` does."""
-    with opened(path, most) as file:
-        return file.read(most)
+    with opened(path, most, noted=noted) as file:
+        return file.read(min(most, os.fstat(file.fileno()).st_size))  # Python makes room for as much as it is asked for

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TextIO
 
+from tacgen.errors import printable
+
 
 def open_standard_streams() -> None:
     """Open /dev/null in the place of closed standard streams.
@@ -35,7 +37,7 @@ def dropping(stream: TextIO) -> Iterator[None]:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print a line to stdout or stderr if it takes one."""
+    """Print a line to stdout or stderr if it takes one; control characters of file names and contents are escaped."""
     stream = sys.stderr if err else sys.stdout
     with dropping(stream):
-        print(text, file=stream, flush=True)
+        print(printable(text), file=stream, flush=True)

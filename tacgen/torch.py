@@ -22,6 +22,7 @@ import numpy as np
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.check import UNIQUE
 from tacgen.bundle.chunks import FrameReader
+from tacgen.bundle.hdf5_file import item_at, open_file
 from tacgen.bundle.splits import FRACTIONS, divide
 from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
@@ -142,16 +143,14 @@ class TactileDataset:
 
     def _stored(self, path: Path, inside: str) -> FrameReader:
         """A dataset of an open file; if too many files are open, the least recently used one is closed."""
-        import h5py
-
         if path not in self._files:
             if len(self._files) >= OPEN_FILES:
                 self._files.popitem(last=False)[1][0].close()
-            self._files[path] = (h5py.File(path, "r", locking=False), {})
+            self._files[path] = (open_file(path), {})
         self._files.move_to_end(path)
         file, known = self._files[path]
         if inside not in known:
-            known[inside] = FrameReader(file[inside])
+            known[inside] = FrameReader(item_at(file, inside))
         return known[inside]
 
 

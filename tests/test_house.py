@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -74,16 +75,7 @@ HOMES = {
         "report.viewer",
     },
     "mpl_toolkits": {"report.bundle_figure"},
-    "h5py": {
-        "bundle.bundle",
-        "bundle.hdf5_file",
-        "doctor",
-        "export.vtkhdf",
-        "export.univtac",
-        "bundle.pack",
-        "torch",
-        "replay.array_log",
-    },
+    "h5py": {"bundle.hdf5_file", "bundle.pack", "doctor", "replay.array_log"},
     "cvxopt": {"mechanics.blas_kernels"},
     "pymetis": {"mechanics.linear_solvers"},
     "ruamel": {"sensor.yaml_source"},
@@ -104,6 +96,61 @@ HOMES = {
     "numcodecs": {"export.zarr"},
     "rerun": {"export.rerun"},
 }
+# Who writes, replaces or deletes files, by what; all others go through `output_file`, `whole_folder` or `atomic_file`.
+WRITERS = {
+    "atomic_file": {"os.open", "os.replace", "os.unlink"},
+    "output_file": {"open", "os.replace", "unlink"},
+    "bundle.whole_folder": {"rename", "rmtree"},
+    "bundle.hdf5_file": {"h5py.File"},  # through a sink of atomic_file
+    # beside bundles, after `journal.claimed` has refused what no run wrote
+    "bundle.journal": {"os.open", "unlink"},
+    "batch.__init__": {"unlink"},
+    "batch.cuda_engine": {"os.rmdir", "unlink"},
+    # to a path of `output_file.written`
+    "api.frames": {"copyfile"},
+    "report.animation": {"saving"},
+    "report.bundle_figure": {"savefig"},
+    # into a new folder of `whole_folder`, by packages that take a path
+    "export.lerobot": {"ParquetWriter", "write_table"},
+    "export.webdataset": {"ShardWriter"},
+    "export.zarr": {"open_group"},
+    # into memory
+    **{name: {"np.save", "np.savez"} for name in ("array_cache", "batch.solution_file", "export.__init__")},
+    "mechanics.ftetwild": {"np.savez"},
+    # no files of a user's
+    "compiled": {"touch"},  # in the cache
+    "regular_file": {"os.open"},  # to read
+    "terminal": {"os.open"},  # /dev/null
+    "batch.worker_main": {"open"},  # of /proc
+}
+WRITES = {
+    *("write_text", "write_bytes", "savefig", "saving", "touch", "symlink_to", "hardlink_to", "rename", "unlink"),
+    *("rmdir", "tofile", "rmtree", "copyfile", "copytree", "copy2", "mkstemp", "NamedTemporaryFile"),
+    *("write_table", "ParquetWriter", "ShardWriter", "open_group", "imwrite", "imsave", "to_csv", "to_parquet"),
+    *(f"os.{name}" for name in ("open", "replace", "rename", "link", "symlink", "unlink", "remove", "rmdir")),
+    *(f"np.{name}" for name in ("save", "savez", "savez_compressed", "savetxt")),
+    *("h5py.File", "shutil.copy", "shutil.move"),
+}
+# Who writes at a path whatever is there, through `atomic_file`: each has asked before whether it may.
+REPLACE = {"output_file", "array_cache", "bundle.bundle", "bundle.journal", "bundle.pack", "bundle.whole_folder"} | {
+    *("batch.solution_file", "doctor", "export.vtkhdf", "export.univtac", "pipeline", "report.dataset_card"),
+}
+# Who reads other than through `regular_file`, which refuses pipes and devices, and notes what is an input.
+READERS = {
+    "output_file": {"open"},  # what it has just written
+    **{
+        name: {"np.load"} for name in ("array_cache", "mechanics.ftetwild", "replay.array_log")
+    },  # from memory, or an open file
+    **{name: {"Image.open"} for name in ("recipe.background_photo", "render.jpeg")},
+    "batch.solution_file": {"np.load"},  # of this run
+    # what tacgen has just exported
+    **{name: {"read_text"} for name in ("export.lerobot", "report.hub_card")},
+    # of the installed package, or of the system
+    **{name: {"read_text"} for name in ("report.catalogue", "report.viewer", "batch.worker_process")},
+    **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
+    "compiled": {"read_bytes"},
+}
+READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 NOT_NUMPY = {
     "cli",
     "cli_calibrate",
@@ -316,6 +363,65 @@ def test_every_layer_is_there() -> None:
 def test_no_two_public_classes_share_a_name() -> None:
     names = [node.name for path in files().values() for node in tree(path).body if isinstance(node, ast.ClassDef)]
     assert [name for name in names if names.count(name) > 1 and not name.startswith("_")] == []
+
+
+def calls(path: Path) -> Iterator[tuple[ast.Call, str]]:
+    """The calls in a module, each with the name that is called: `open`, `os.open`, `path.write_text`."""
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
+            yield node, ast.unparse(node.func)
+
+
+def access(path: Path) -> tuple[set[str], set[str]]:
+    """By what a module writes files, and by what it reads them, other than through our own modules."""
+    writes, reads = set[str](), set[str]()
+    for node, name in calls(path):
+        last = name.rpartition(".")[2]
+        if name in ("open", "io.open") or (last == "open" and not isinstance(node.func, ast.Name) and _of_a_path(name)):
+            given = [
+                *node.args[1 if name in ("open", "io.open") else 0 :],
+                *(k.value for k in node.keywords if k.arg == "mode"),
+            ]
+            mode = next((str(a.value) for a in given if isinstance(a, ast.Constant)), "r")
+            (writes if set(mode) & set("wax+") else reads).add("open")
+        found = name if name in WRITES | READS else last
+        if found in WRITES:
+            writes.add(found)
+        if found in READS and not name.startswith("regular_file."):
+            reads.add(found)
+    return writes, reads
+
+
+def _of_a_path(name: str) -> bool:
+    return name.split(".")[0] not in ("os", "Image", "h5d", "h5o", "h5a", "typer", "regular_file")
+
+
+def test_files_are_written_and_read_in_their_homes_alone() -> None:
+    """So that one rule holds for all of them: nothing that is read, foreign or edited is replaced."""
+    wrong = []
+    for name, path in files().items():
+        writes, reads = access(path)
+        wrong += [f"{name} writes by {each}" for each in sorted(writes - WRITERS.get(name, set()))]
+        wrong += [f"{name} reads by {each}" for each in sorted(reads - READERS.get(name, set()))]
+        called = {each.removeprefix("atomic_file.") for _, each in calls(path)}
+        if called & {"write", "published", "Sink"} and "atomic_file" in text_of(path) and name not in REPLACE:
+            wrong.append(f"{name} replaces through atomic_file")
+    assert wrong == []
+    assert {*WRITERS, *READERS, *REPLACE} <= files().keys()
+
+
+def test_the_check_sees_a_bad_writer_and_reader(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.py"
+    bad.write_text(
+        "open('a', 'w')\npath.open('rb')\npath.open(mode='x')\nnp.save(a, b)\nPath(a).read_text()\nos.replace(a, b)\n"
+    )
+    assert access(bad) == ({"open", "np.save", "os.replace"}, {"open", "read_text"})
+
+
+def test_only_one_module_prints_results() -> None:
+    """Which escapes control characters of names; messages go through `terminal.say`."""
+    told = [name for name, path in files().items() for _, each in calls(path) if each in ("typer.echo", "click.echo")]
+    assert told == ["cli_common"]
 
 
 def test_a_docstring_stands_alone() -> None:

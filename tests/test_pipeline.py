@@ -29,7 +29,7 @@ from tacgen.mechanics import cost_note, mesh
 from tacgen.mechanics.condensation import Condensation
 from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
-from tacgen.recipe import assets, plan, scene_of_row
+from tacgen.recipe import assets, plan, plan_table, scene_of_row
 from tacgen.recipe.row import NOISE
 from tacgen.report import dataset_card
 from tacgen.stage_clock import Clock
@@ -387,7 +387,7 @@ def test_a_result_holds_its_bundle_which_the_card_need_not_open(
 ) -> None:
     made, out = plan.load(recipe, ["quality.edge_mm=1.2", "outputs=[force]"]), tmp_path / "out"
     out.mkdir()
-    journal.write_plan(made, out, None)
+    journal.write_plan(plan_table.as_json(made), out, None)
     for _ in ("made", "kept"):
         (done,) = pipeline.run(made.rows, out)
         assert done.bundles == (bundle.read(done.path),)

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen import output_file, regular_file
 from tacgen.bundle import dataset, field_names, kept_files
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
 from tacgen.bundle.caption import caption, line
 from tacgen.bundle.force_error import force_error
+from tacgen.bundle.hdf5_file import LARGEST
 from tacgen.bundle.kept_files import Folder
 from tacgen.errors import LeftOut, UserError
 
@@ -77,7 +79,7 @@ class Frames:
         """Pickled, as another process returns it, with the file, which is removed with the frames of that process."""
         if self._folder is None:
             return Frames, (self.bundle,)
-        return _unpickled, (self.bundle.path.name, self.bundle.path.read_bytes())
+        return _unpickled, (self.bundle.path.name, regular_file.read_bytes(self.bundle.path, LARGEST))
 
     def __len__(self) -> int:
         """N, the number of frames."""
@@ -197,18 +199,16 @@ class Frames:
         Raises:
             UserError: the file exists already and `overwrite` is not set, or the frames are those of a packed folder.
         """
-        from tacgen.output_file import written
-
         if self.bundle.group != "/":
             raise UserError(f"{self.bundle.path}: is packed; `tacgen unpack` writes its bundles")
-        with written(Path(path), [self.bundle.path], overwrite=overwrite) as new:
+        with output_file.written(Path(path), [self.bundle.path], overwrite=overwrite) as new:
             shutil.copyfile(self.bundle.path, new)
         return Path(path)
 
 
 def _unpickled(name: str, content: bytes) -> Frames:
     folder = Folder()
-    (folder.path / name).write_bytes(content)
+    output_file.add(folder.path / name, content)
     return Frames(read_bundle(folder.path / name), folder)
 
 

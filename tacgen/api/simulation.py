@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from tacgen import output_file
 from tacgen.api.frames import Frames, accepted
 from tacgen.bundle import kept_files
 from tacgen.bundle.bundle import read
@@ -236,7 +237,7 @@ class _Files:
         raise UserError(f"simulate: movements[{place}]: must be {known} or poses (N, 4, 4) (got {_kind(given)})")
 
     def _kept(self, content: bytes, name: str, where: KeyPath) -> str:
-        (self.folder / name).write_bytes(content)
+        output_file.put(self.folder / name, content)
         self.spots[where] = _in_folder("simulate", self.folder)
         return name
 

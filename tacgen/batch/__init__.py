@@ -51,7 +51,7 @@ def run(
 
     Args:
         plan: the scenes; with a shard, only its own.
-        folder: of bundles, plan and journal; other runs may use it at the same time.
+        folder: of bundles, plan and journal; other runs of this plan may use it at the same time.
         workers: number of processes; with a scheduler, its workers are used instead.
         overwrite: replace bundles of other inputs, make those of another version of tacgen again, and remove those
             of earlier runs here that are not in the plan.
@@ -63,32 +63,33 @@ def run(
         on_event: called with each event: frame, note, retry or outcome.
 
     Raises:
-        UserError: a bundle of other inputs has a scene's name, a file that no run wrote has the name of the plan or
-            journal, or no worker starts.
+        UserError: a bundle of other inputs has a scene's name, a file that no run wrote has the name of the plan,
+            journal or times, or no worker starts.
+        atomic_file.Busy: a run of another plan is at work in the folder.
         OSError: the disk is full or read-only, or permission is missing.
     """
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: must be one of {', '.join(ENGINES)}")
     folder.mkdir(parents=True, exist_ok=True)
-    journal.refuse_foreign(folder, shard)
-    atomic_file.sweep(folder)
-    before = journal.made(folder) if overwrite else set()
-    notes = [] if overwrite else _of_other_versions(existing(plan.rows, folder))
-    journal.write_plan(plan, folder, shard)
-    notes += _unplanned(folder, shard, before)
-    with Journal(folder, shard) as log:
+    with journal.claimed(plan, folder, shard) as table:
+        atomic_file.sweep(folder)
+        before = journal.made(folder) if overwrite else set()
+        notes = [] if overwrite else _of_other_versions(existing(plan.rows, folder))
+        journal.write_plan(table, folder, shard)
+        notes += _unplanned(folder, shard, before)
+        with Journal(folder, shard) as log:
 
-        def record(event: dict[str, Any]) -> None:
-            log.write(event)
-            on_event(event)
+            def record(event: dict[str, Any]) -> None:
+                log.write(event)
+                on_event(event)
 
-        for note in notes:
-            record({"event": "note", "scene": "", "note": note})
-        try:
-            with ENGINES[engine](workers, limits or Limits(), task, scheduler) as make:
-                return make(plan.rows, folder, overwrite=overwrite, on_event=record)
-        finally:
-            atomic_file.sweep(folder)
+            for note in notes:
+                record({"event": "note", "scene": "", "note": note})
+            try:
+                with ENGINES[engine](workers, limits or Limits(), task, scheduler) as make:
+                    return make(plan.rows, folder, overwrite=overwrite, on_event=record)
+            finally:
+                atomic_file.sweep(folder)
 
 
 def _of_other_versions(versions: dict[str, str]) -> list[str]:

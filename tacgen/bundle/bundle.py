@@ -19,7 +19,7 @@ import numpy as np
 
 from tacgen import __version__, atomic_file
 from tacgen.bundle.chunks import Column, FrameReader, rounded
-from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened
+from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened, written_file
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, as_stored, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
@@ -66,15 +66,13 @@ class Writer:
         self._finished = False
 
     def __enter__(self) -> "Writer":
-        import h5py
-
         self.path.parent.mkdir(parents=True, exist_ok=True)
         atomic_file.sweep(self.path.parent)
         self._sink = atomic_file.Sink(self.path)
         try:
             with self._sink.guard():
                 # v110: all metadata have checksums; readable by every HDF5 since 1.10
-                self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
+                self._file = written_file(self._sink, libver=("v110", "v110"))
                 add_attributes(self._file.id, dict(sorted(self._attrs.items())))
         except BaseException:
             self.__exit__()

@@ -6,8 +6,9 @@ An untrusted file's structure, types, shapes and filters are validated before an
 import io
 import math
 import os
+import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,13 @@ from tacgen.outputs import LAYOUT
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 LARGEST = 2**40  # largest file [bytes]
-FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
+FILTERS = frozenset({1, 2, 3})  # deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
 RATIO = 1100  # largest ratio of decompressed to compressed size; that of deflate is 1032 [-]
 SMALL = 4096  # size of a chunk that may be larger than its data [bytes]
 GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
-HEAP = b"GCOL\x01\0\0\0"  # signature of a global heap, in which HDF5 stores strings
+HEAP = re.compile(rb"GCOL\x01\0\0\0")  # signature of a global heap, in which HDF5 stores strings
+HEAD = 8  # length of the signature [bytes]
+LOOKED_AT = 2**16  # bytes of a read in which it is looked for: HDF5 reads the first 4096 of a heap by themselves
 LARGEST_HEAP = 2**26  # largest heap that is checked [bytes]
 
 
@@ -40,22 +43,23 @@ class BundleFile(io.FileIO):
     each heap is checked as it is read.
     """
 
+    def __del__(self) -> None:
+        """Close it without a warning: h5py holds it until it closes its own file."""
+        self.close()
+
     def readinto(self, buffer: Any) -> int:
         """As FileIO's. Raises OSError: a heap is damaged."""
         start = self.tell()
         count = super().readinto(buffer) or 0
-        head = bytes(buffer[:count])
-        at = head.find(HEAP)
-        while at >= 0:
-            self._check_heap(start + at)
-            at = head.find(HEAP, at + 1)
+        for match in HEAP.finditer(memoryview(buffer)[: min(count, LOOKED_AT)]):
+            self._check_heap(start + match.start())
         return count
 
     def _check_heap(self, start: int) -> None:
         """Each object of a heap is an index (2 bytes, 0: free), 6 other bytes, the size (8 bytes) and the content."""
-        size = int.from_bytes(os.pread(self.fileno(), 8, start + len(HEAP)), "little")
+        size = int.from_bytes(os.pread(self.fileno(), 8, start + HEAD), "little")
         heap = os.pread(self.fileno(), min(size, LARGEST_HEAP), start)
-        at = len(HEAP) + 8
+        at = HEAD + 8
         while at + 16 <= len(heap):
             length = int.from_bytes(heap[at + 8 : at + 16], "little")
             used = heap[at : at + 2] != b"\0\0"
@@ -64,9 +68,8 @@ class BundleFile(io.FileIO):
             at += 16 + (length + 7) // 8 * 8 if used else length
 
 
-@contextmanager
-def opened(path: Path, group: str = "/") -> Iterator[Any]:
-    """An open group of a file. Any exception raised inside becomes a UserError, so only reading belongs there.
+def open_file(path: Path) -> Any:
+    """A file of h5py to read from: a regular one, whose heaps are checked.
 
     Raises:
         Damaged; UserError: there is no such file, or it is something else.
@@ -77,16 +80,66 @@ def opened(path: Path, group: str = "/") -> Iterator[Any]:
         raw = BundleFile(regular_file.descriptor(path, LARGEST))
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
-    with raw:
+    try:
         if raw.read(len(SIGNATURE)) != SIGNATURE:
             raise UserError(f"{path}: not an HDF5 file")
+        return h5py.File(raw, "r")
+    except BaseException as error:
+        raw.close()
+        if isinstance(error, UserError | MemoryError) or not isinstance(error, Exception):
+            raise
+        raise _damaged(path, error) from error
+
+
+def written_file(sink: Any, mode: str = "w", **options: Any) -> Any:
+    """A file of h5py that is written through a sink of `atomic_file`; options as of h5py.File."""
+    import h5py
+
+    return h5py.File(sink, mode, **options)
+
+
+@contextmanager
+def opened(path: Path, group: str = "/") -> Iterator[Any]:
+    """An open group of a file. Any exception raised inside becomes a UserError, so only reading belongs there.
+
+    Raises:
+        Damaged; UserError: there is no such file, or it is something else.
+    """
+    with open_file(path) as file:
         try:
-            with h5py.File(raw, "r") as file:
-                yield file[group]
+            yield item_at(file, group)
         except (UserError, MemoryError):
             raise
         except Exception as error:  # h5py and HDF5 fail in many ways on what is damaged or crafted
-            raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
+            raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> Damaged:
+    return Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})")
+
+
+def item_at(group: Any, path: str) -> Any:
+    """The group or dataset at a path. Raises KeyError: there is none; ValueError: a link, perhaps to another file."""
+    import h5py
+
+    for step in filter(None, path.split("/")):
+        if not isinstance(group, h5py.Group) or not isinstance(group.get(step, getlink=True), h5py.HardLink):
+            raise ValueError(f"{path} is a link")
+        group = group[step]
+    return group
+
+
+def not_here(data: Any, filters: Set[int] = FILTERS) -> str:
+    """Why the values of a low-level dataset cannot be read from this file alone, by these filters; "" if they can."""
+    from h5py import h5d
+
+    packing = data.get_create_plist()
+    if packing.get_layout() == h5d.VIRTUAL or packing.get_external_count():
+        return "is not stored in this file"
+    if not {packing.get_filter(i)[0] for i in range(packing.get_nfilters())} <= filters:
+        return "is compressed in a way that cannot be read here: use gzip"
+    claimed, stored = data.dtype.itemsize * math.prod(data.shape), data.get_storage_size()
+    return f"claims {claimed} bytes, and stores {stored}" if claimed > RATIO * stored else ""
 
 
 def datasets(root: Any) -> dict[str, tuple[int, ...]]:
@@ -189,19 +242,13 @@ def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ..
 
     row, packing, dtype = entry(path), data.get_create_plist(), data.dtype
     shape: tuple[int, ...] = data.shape
-    how = packing.get_layout()
-    if how == h5d.VIRTUAL or packing.get_external_count():
-        raise ValueError(f"{path} is not stored in this file")
     if dtype.str != row.dtype:
         raise ValueError(f"{path} has type {dtype.str}, expected {row.dtype}")
     if problem := shape_problem(path, shape, sizes):
         raise ValueError(problem)
-    if not {packing.get_filter(i)[0] for i in range(packing.get_nfilters())} <= FILTERS:
-        raise ValueError(f"{path} is compressed in a way that no bundle is")
-    claimed, stored = dtype.itemsize * math.prod(shape), data.get_storage_size()
-    if claimed > RATIO * stored:
-        raise ValueError(f"{path} claims {claimed} bytes, and stores {stored}")
+    if problem := not_here(data):
+        raise ValueError(f"{path} {problem}")
     whole = dtype.itemsize * math.prod(max(1, n) for n in shape)
-    if how == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(whole, SMALL):
+    if packing.get_layout() == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(whole, SMALL):
         raise ValueError(f"{path} is stored in pieces larger than itself")
     return shape

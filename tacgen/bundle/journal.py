@@ -4,13 +4,14 @@ Neither decides whether a scene is finished: only the bundle's own contents do. 
 different files, so that several machines can share the folder.
 """
 
+import hashlib
 import json
 import os
 import re
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -26,32 +27,47 @@ if TYPE_CHECKING:
     from tacgen.recipe.plan import Plan
 
 Shard = tuple[int, int]  # (i, N): the scenes whose index modulo N is i
-NAME = re.compile(r"(plan|journal)(?:-\d+-of-(\d+))?\.jsonl?")  # of the files that runs write; N of their shards
+# of the files that runs write: N of their shards, and the seconds that a scene took
+NAME = re.compile(r"(plan|journal)(?:-\d+-of-(\d+))?\.jsonl?|scene-\d+(?:-[LR])?\.(timing)\.json")
 BEGINNINGS = {  # of their contents: a file that begins otherwise is not a run's, and stays untouched
     "plan": re.compile(rb'\{"name": "(?:[^"\\]|\\.)*", "scenes": \[\s*\{"scene": "'),
     "journal": re.compile(rb'\{"time": "[^"]*", "run": "'),
+    "timing": re.compile(rb'\{\s*"frames": \d+,\s*"seconds": \{'),
 }
 HEAD = 65536  # bytes at the beginning of a file in which these are looked for
 
 
-def write_plan(plan: "Plan", folder: Path, shard: Shard | None) -> None:
-    """Write `plan.json`, or that of a shard, and remove the plans of other divisions into shards."""
+@contextmanager
+def claimed(plan: "Plan", folder: Path, shard: Shard | None) -> Iterator[str]:
+    """Claim a folder for the runs of one plan, or of its shards; gives the plan as JSON.
+
+    Raises:
+        UserError: a file that no run wrote has the name of one that this run writes.
+        Busy: a run of something else is at work there.
+    """
     from tacgen.recipe import plan_table
 
+    written = [f"plan{_suffix(shard)}.json", f"journal{_suffix(shard)}.jsonl"]
+    for name in [*written, *os.listdir(folder)]:
+        match = NAME.fullmatch(name)
+        needed = match and (match[3] or name in written) and os.path.lexists(folder / name)
+        if match and needed and not _is_ours(folder / name, match[1] or match[3]):
+            text = "was not written by tacgen run, which needs this name: move it, or choose another folder"
+            raise UserError(f"{folder / name}: {text}")
+    table = plan_table.as_json(plan)
+    work = table if shard is None else f"{plan.inputs} in {shard[1]}"
+    busy = f"{folder}: a run of another recipe, or of other values of it, is at work there: choose another folder"
+    with atomic_file.shared(folder / "run", hashlib.sha256(work.encode()).hexdigest(), busy):
+        yield table
+
+
+def write_plan(table: str, folder: Path, shard: Shard | None) -> None:
+    """Write `plan.json`, or that of a shard, and remove the plans of other divisions into shards."""
     target = folder / f"plan{_suffix(shard)}.json"
     for path, shards in _files(folder, "plan"):
         if shards != (shard and str(shard[1])):
             path.unlink(missing_ok=True)
-    atomic_file.write(target, plan_table.as_json(plan).encode())
-
-
-def refuse_foreign(folder: Path, shard: Shard | None) -> None:
-    """UserError if files that no run wrote have the names of this run's plan or journal."""
-    for path in (folder / f"plan{_suffix(shard)}.json", folder / f"journal{_suffix(shard)}.jsonl"):
-        if os.path.lexists(path) and path not in dict(_files(folder, path.name.partition("-")[0].partition(".")[0])):
-            raise UserError(
-                f"{path}: was not written by tacgen run, which needs this name: move it, or choose another folder"
-            )
+    atomic_file.write(target, table.encode())
 
 
 def _files(folder: Path, kind: str) -> list[tuple[Path, str | None]]:

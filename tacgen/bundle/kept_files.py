@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import regular_file
+from tacgen import output_file, regular_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
@@ -119,5 +119,5 @@ def _copy(name: str, content: bytes) -> Path:
     last = re.sub(r"[^\w. -]", "_", re.split(r"[/\\]", name)[-1]).lstrip(".") or "file"
     path = folder().path / hashlib.sha256(content).hexdigest() / last
     path.parent.mkdir(exist_ok=True)
-    path.write_bytes(content)
+    output_file.put(path, content)
     return path

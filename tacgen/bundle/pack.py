@@ -9,7 +9,7 @@ from typing import Any
 from tacgen import __version__, atomic_file
 from tacgen.bundle import dataset, whole_folder
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.bundle.hdf5_file import opened
+from tacgen.bundle.hdf5_file import opened, written_file
 from tacgen.errors import UserError
 
 REOPENED = 100  # scenes copied before a shard is closed and opened again: HDF5 holds 20 to 50 kB a scene until then
@@ -81,7 +81,7 @@ def join(folder: Path) -> Path:
     counts = [bundle.frames for bundle in bundles]
     target = folder / dataset.VIRTUAL
     with atomic_file.published(target) as sink:
-        with h5py.File(sink, "w", libver=("v110", "v110")) as file:
+        with written_file(sink, libver=("v110", "v110")) as file:
             file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
             file["scenes"] = [bundle.group[1:] for bundle in bundles]
             file["scene"] = np.repeat(np.arange(len(counts)), counts)
@@ -94,7 +94,7 @@ def join(folder: Path) -> Path:
                 layout[start : start + n] = h5py.VirtualSource(name, inside, (n, *shape), dtype)
                 start += n
             # reopened for each: HDF5 holds 4 kB per source until the file is closed
-            with h5py.File(sink, "r+", libver=("v110", "v110")) as file:
+            with written_file(sink, "r+", libver=("v110", "v110")) as file:
                 file.create_virtual_dataset(path, layout)
     return target
 
@@ -139,11 +139,9 @@ def _stored(bundle: Bundle) -> int:
 
 
 def _write(path: Path, scenes: Sequence[tuple[str, Bundle]]) -> None:
-    import h5py
-
     with atomic_file.published(path) as sink:
         for first in range(0, len(scenes), REOPENED):
-            with h5py.File(sink, "r+" if first else "w", libver=("v110", "v110")) as file:
+            with written_file(sink, "r+" if first else "w", libver=("v110", "v110")) as file:
                 file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
                 for name, bundle in scenes[first : first + REOPENED]:
                     with opened(bundle.path, bundle.group) as original:

@@ -7,10 +7,10 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
 from tacgen import regular_file
+from tacgen.csv_table import LARGEST_NUMBER
 from tacgen.errors import UserError, why
 
 LARGEST = 2**30  # bytes of a file
-LARGEST_NUMBER = 1e100  # what is plotted and summed must not overflow
 T = TypeVar("T")
 
 

@@ -4,24 +4,29 @@ If a process is killed, the name refers to the old folder or the new one, or to 
 under a temporary name: the next process that writes there restores it and removes remains.
 """
 
+import hashlib
 import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tacgen import atomic_file
+from pydantic import Field
+
+from tacgen import atomic_file, regular_file
 from tacgen.bundle.stored_json import Stored, read
 from tacgen.errors import UserError
 
 LIST = ".tacgen-export.json"
+SMALL = 2**20  # [bytes] size of files up to which somebody may have edited them
 
 
 class Listed(Stored):
-    """Contents of the list: the kind of folder, and the path and size [bytes] of each file."""
+    """Contents of the list: the kind of folder, the path and size [bytes] of each file, and SHA-256 of small ones."""
 
     kind: str
     files: dict[str, int]
+    digests: dict[str, str] = Field(default_factory=dict)
 
 
 @contextmanager
@@ -49,7 +54,8 @@ def written(folder: Path, kind: str = "") -> Iterator[Path]:
             yield new
             if kind:
                 sizes = {name: size for name, size in _files(new).items() if size is not None}
-                content = json.dumps({"kind": kind, "files": sizes}, indent=1) + "\n"
+                digests = {name: _digest(new / name) for name, size in sizes.items() if size <= SMALL}
+                content = json.dumps({"kind": kind, "files": sizes, "digests": digests}, indent=1) + "\n"
                 atomic_file.write(new / LIST, content.encode())
             if folder.exists():
                 folder.rename(old)
@@ -85,8 +91,14 @@ def _refuse(folder: Path, kind: str) -> None:
     if listed.kind != kind:
         raise UserError(f"{folder}: holds an export for {listed.kind}: choose another folder")
     strangers = [name for name, size in there.items() if name != LIST and listed.files.get(name, -1) != size]
-    if strangers:
+    edited = (name for name, digest in listed.digests.items() if name in there and _digest(folder / name) != digest)
+    if strangers := strangers or [*edited]:
         raise UserError(f"{folder}: {min(strangers)} is not of the export: move it, or choose another folder")
+
+
+def _digest(path: Path) -> str:
+    with regular_file.opened(path, SMALL, noted=False) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _files(folder: Path) -> dict[str, int | None]:

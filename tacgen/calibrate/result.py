@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen import output_file
 from tacgen.recipe import assets, loading
 from tacgen.sensor import yaml_source
 from tacgen.sensor.layers import Layer
@@ -58,10 +59,11 @@ def moduli(layer: Layer) -> Iterator[str]:
             yield key
 
 
-def write_sensor(path: Path, sensor: Sensor, changes: Mapping[KeyPath, Any], out: Path) -> None:
-    """Write a sensor file with changes; comments are kept, and the path of a solid gel is adapted to the new place."""
+def write_sensor(path: Path, sensor: Sensor, changes: Mapping[KeyPath, Any], out: Path, head: str = "") -> None:
+    """Write a sensor file with changes below a `head`; comments are kept, and the path of a solid gel is adapted to the
+    new place."""
     changes = dict(changes)
     if sensor.gel.solid is not None:
         solid = assets.mesh_path(sensor.gel.solid.file, path.parent)
         changes[loading.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
-    out.write_text(yaml_source.edited(path, changes), encoding="utf-8")
+    output_file.put(out, (head + yaml_source.edited(path, changes)).encode(), overwrite=True)

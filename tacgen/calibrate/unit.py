@@ -135,10 +135,8 @@ class Unit:
 
     def write(self, out: Path) -> None:
         """Write the changed sensor file: comments are kept, and what was found stands in comments at its head."""
-        write_sensor(self.path, self.sensor, self.changes, out)
         lines = [f"Fitted {BY} to {self.said}:", *(f"  {line}" for line in self.found()), *self.unseen()]
-        text = out.read_text(encoding="utf-8")
-        out.write_text("".join(f"# {line}\n" for line in lines) + text, encoding="utf-8")
+        write_sensor(self.path, self.sensor, self.changes, out, "".join(f"# {line}\n" for line in lines))
 
     def draw(self, out: Path) -> None:
         """Plot fitted over measured forces, seen and unseen, into `out`."""

@@ -8,12 +8,13 @@ that writes into the new, empty folder `out` and returns the files it made. If a
 defines its SUFFIX, and `out` may then be the name of that file.
 """
 
-from collections.abc import Callable, Sequence
+import io
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from tacgen import output_file
+from tacgen import output_file, regular_file
 from tacgen.bundle import whole_folder
 from tacgen.bundle.dataset import CARDS
 from tacgen.errors import UserError
@@ -93,7 +94,7 @@ def export(
         made = [path.relative_to(folder) for path in module.write(sources, folder)]
         page = card(sources, folder).encode() if card else _card(source)
         if page:
-            (folder / CARDS[0]).write_bytes(page)
+            output_file.add(folder / CARDS[0], page)
             made.append(Path(CARDS[0]))
     return [out / path for path in made]
 
@@ -101,7 +102,8 @@ def export(
 def _card(source: Path) -> bytes:
     """The card that tacgen wrote for the data set in a folder; empty without one."""
     cards = (source / name for name in CARDS) if source.is_dir() else ()
-    return next((path.read_bytes() for path in cards if output_file.is_unchanged_page(path)), b"")
+    page = next((path for path in cards if output_file.is_unchanged_page(path)), None)
+    return b"" if page is None else regular_file.read_bytes(page, output_file.LARGEST_PAGE)
 
 
 def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
@@ -120,6 +122,15 @@ def names(bundles: "Sequence[Bundle]") -> list[str]:
         if len(set(unique)) == len(unique):
             break
     return unique
+
+
+def npy(content: "np.ndarray | Mapping[str, Any]") -> bytes:
+    """An array, or a pickled dictionary of arrays, as the bytes of an .npy file."""
+    import numpy as np
+
+    file = io.BytesIO()
+    np.save(file, content, allow_pickle=True)  # type: ignore[arg-type]  # its stub takes arrays alone
+    return file.getvalue()
 
 
 def poses(matrices: "np.ndarray") -> "np.ndarray":

@@ -16,6 +16,7 @@ from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS, assigned
 from tacgen.errors import LeftOut
 from tacgen.export import names, poses
+from tacgen.output_file import add
 
 ALONE = "tactile"  # stands for the sensor in names of episodes with a single sensor
 
@@ -102,9 +103,7 @@ def write_splits(all_episodes: Sequence[Episode], out: Path) -> Path:
         split: {episode.name: episode.sources for episode in all_episodes[first:end]}
         for split, (first, end) in split_ranges(all_episodes).items()
     }
-    path = out / "splits.json"
-    path.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
-    return path
+    return add(out / "splits.json", json.dumps(listed, indent=1) + "\n")
 
 
 def values(bundle: Bundle) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
+from tacgen.output_file import add
 
 CHANNELS = {"radiance": "R G B", "height": "Z", "normals": "N.X N.Y N.Z", "material": "P.X P.Y"}
 
@@ -23,8 +24,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     made = []
     for name, bundle in zip(names(bundles), bundles, strict=True):
         for k in range(bundle.frames):
-            made.append(out / f"{name}_{k:05d}.exr")
-            made[-1].write_bytes(encoded(channels(bundle, k)))
+            made.append(add(out / f"{name}_{k:05d}.exr", encoded(channels(bundle, k))))
     return made
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.errors import UserError
-from tacgen.export import names, needs
+from tacgen.export import names, needs, npy
+from tacgen.output_file import add
 
 IMAGE = (240, 320, 3)
 GRID = (24, 32)
@@ -30,19 +31,16 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         if bundle.shapes["/frames/rgb"][1:] != IMAGE:
             size = " x ".join(map(str, bundle.shapes["/frames/rgb"][1:3]))
             raise UserError(f"{bundle.path}: FEATS takes images of 240 x 320 pixels, these have {size}")
-    (out / "train").mkdir()
     made, ranges = [], dict[str, dict[str, float]]()
     for name, bundle in zip(names(bundles), bundles, strict=True):
         for k in range(bundle.frames):
             label = sample(bundle, k)
-            made.append(out / "train" / f"{name}_{k:05d}.npy")
-            np.save(made[-1], label, allow_pickle=True)  # type: ignore[arg-type]
+            made.append(add(out / "train" / f"{name}_{k:05d}.npy", npy(label)))
             for key, values in label.items():
                 known = ranges.setdefault(key, {"min": np.inf, "max": -np.inf})
                 known["min"] = min(known["min"], float(np.min(values)))
                 known["max"] = max(known["max"], float(np.max(values)))
-    np.save(out / "normalization.npy", ranges, allow_pickle=True)  # type: ignore[arg-type]
-    return [*made, out / "normalization.npy"]
+    return [*made, add(out / "normalization.npy", npy(ranges))]
 
 
 def sample(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:

@@ -24,7 +24,8 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.image_file import encoded
 from tacgen.bundle.splits import SPLITS, assigned
 from tacgen.errors import UserError
-from tacgen.export import needs
+from tacgen.export import needs, npy
+from tacgen.output_file import add
 
 IMAGE = (240, 320, 3)
 MM_PER_M = 1e3
@@ -37,15 +38,13 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         if bundle.shapes["/frames/rgb"][1:] != IMAGE:
             size = " x ".join(map(str, bundle.shapes["/frames/rgb"][1:3]))
             raise UserError(f"{bundle.path}: FeelAnyForce takes images of 240 x 320 pixels, these have {size}")
-    for folder in ("tactile", "tactile_nobg", "depth"):
-        (out / folder).mkdir()
     made, backgrounds = list[Path](), list[bytes]()
     tables: dict[str, list[tuple[str, str, str]]] = {split: [] for split in SPLITS}
     for number, (bundle, split) in enumerate(zip(bundles, assigned(bundles), strict=True)):
         background = encoded(bundle["/reference/rgb"], "PNG")
         if background not in backgrounds:
-            made.append(out / "tactile" / f"background{f'_{len(backgrounds)}' if backgrounds else ''}.png")
-            made[-1].write_bytes(background)
+            name = f"background{f'_{len(backgrounds)}' if backgrounds else ''}.png"
+            made.append(add(out / "tactile" / name, background))
             backgrounds.append(background)
         for k in range(bundle.frames):
             name = f"{number:05d}_{k:05d}"  # a scene's own name may hold the word tactile
@@ -54,8 +53,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     for split, rows in tables.items():
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([("tactile", "depth", "FT"), *rows])
-        made.append(out / f"TacForce_{split}_set.csv")
-        made[-1].write_text(text.getvalue(), encoding="utf-8")
+        made.append(add(out / f"TacForce_{split}_set.csv", text.getvalue()))
     return made
 
 
@@ -63,11 +61,11 @@ def _frame(bundle: Bundle, k: int, out: Path, name: str) -> list[Path]:
     """The three files of a frame."""
     image = bundle.frame("/frames/rgb", k)
     less = np.clip(image.astype(int) - bundle["/reference/rgb"] + 127, 0, 255).astype(np.uint8)
-    made = [out / "tactile" / f"{name}.png", out / "tactile_nobg" / f"{name}.png", out / "depth" / f"{name}.npy"]
-    made[0].write_bytes(encoded(image, "PNG"))
-    made[1].write_bytes(encoded(less, "PNG"))
-    np.save(made[2], depth(bundle, k))
-    return made
+    return [
+        add(out / "tactile" / f"{name}.png", encoded(image, "PNG")),
+        add(out / "tactile_nobg" / f"{name}.png", encoded(less, "PNG")),
+        add(out / "depth" / f"{name}.npy", npy(depth(bundle, k))),
+    ]
 
 
 def depth(bundle: Bundle, k: int) -> np.ndarray:

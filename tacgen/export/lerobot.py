@@ -34,6 +34,7 @@ from tacgen.errors import UserError
 from tacgen.export import needs
 from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, state_and_action, write_splits
 from tacgen.export.feats import shares
+from tacgen.output_file import add
 
 FPS = 10
 FILE_BYTES = 100_000_000  # size of a Parquet file, as in LeRobot
@@ -99,8 +100,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     made.append(write_splits(all_episodes, out))
     made += [_table(out / "meta/tasks.parquet", *_tasks(tasks)), _table(out / EPISODES, rows)]
     for name, content in (("info", info), ("stats", stats)):
-        made.append(out / "meta" / f"{name}.json")
-        made[-1].write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
+        made.append(add(out / "meta" / f"{name}.json", json.dumps(content, indent=4) + "\n"))
     return made
 
 

@@ -27,6 +27,7 @@ from tacgen.bundle.caption import MODE, task
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.export import names
+from tacgen.output_file import add
 
 SUFFIX = ".rrd"
 MAPS = {"pressure": ["row", "column"], "traction": ["row", "column", "xy"], "height": ["row", "column"]}
@@ -46,7 +47,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     named = names(bundles)
     made = [out] if out.suffix == SUFFIX else [out / f"{name}{SUFFIX}" for name in named]
     for bundle, name, path in zip(bundles, named, made, strict=True):
-        path.write_bytes(recording(bundle, name))  # Rerun's own files say nothing when the disk is full
+        add(path, recording(bundle, name))  # Rerun's own files say nothing when the disk is full
     return made
 
 

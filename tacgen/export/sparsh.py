@@ -21,6 +21,7 @@ back five frames: it takes nothing from a scene of five or fewer.
 """
 
 import copyreg
+import io
 import json
 import pickle
 import re
@@ -38,6 +39,7 @@ from tacgen.bundle.image_file import encoded
 from tacgen.bundle.splits import assigned
 from tacgen.errors import UserError
 from tacgen.export import needs, poses
+from tacgen.output_file import add
 
 SENSORS = ("digit", "gelsight")  # as Sparsh names them; sensors are told by how their names begin
 PICTURES = 5000  # in a file, as in Sparsh's own data sets
@@ -64,8 +66,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         listed[sensor][LISTS[split]].append(f"{shape}/batch_{number}")
         made += _write(scenes, sensor, out / sensor / shape / f"batch_{number}")
     for sensor, lists in listed.items():
-        made.append(out / sensor / "datasets.json")
-        made[-1].write_text(json.dumps(lists, indent=1) + "\n", encoding="utf-8")
+        made.append(add(out / sensor / "datasets.json", json.dumps(lists, indent=1) + "\n"))
     return made
 
 
@@ -89,7 +90,6 @@ def _batches(bundles: Sequence[Bundle]) -> dict[tuple[str, str, str, str], list[
 
 
 def _write(scenes: Sequence[Bundle], sensor: str, folder: Path) -> list[Path]:
-    folder.mkdir(parents=True)
     made, pictures, touched = list[Path](), [_picture(scenes[0]["/reference/rgb"])], [np.zeros(1, np.int64)]
     trajectories, start = {}, 1
     for number, bundle in enumerate(scenes):
@@ -124,11 +124,11 @@ def _picture(image: np.ndarray) -> bytes:
 
 def _dump(content: Any, path: Path) -> Path:
     """Pickle it so that every NumPy can read the arrays: 2 and 1 name their own functions for that differently."""
-    with path.open("wb") as file:
-        pickler = pickle.Pickler(file, protocol=4)
-        pickler.dispatch_table = copyreg.dispatch_table | {np.ndarray: _plain}
-        pickler.dump(content)
-    return path
+    file = io.BytesIO()
+    pickler = pickle.Pickler(file, protocol=4)
+    pickler.dispatch_table = copyreg.dispatch_table | {np.ndarray: _plain}
+    pickler.dump(content)
+    return add(path, file.getvalue())
 
 
 def _plain(array: np.ndarray) -> tuple[Any, ...]:

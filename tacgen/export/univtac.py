@@ -18,8 +18,10 @@ import numpy as np
 
 from tacgen import atomic_file
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.hdf5_file import written_file
 from tacgen.bundle.image_file import encoded
 from tacgen.export import names, needs, poses
+from tacgen.output_file import add
 
 METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # factors that convert a pose from mm to m
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses
@@ -36,14 +38,11 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         made.append(folder / f"{number}.hdf5")
         _write(bundle, made[-1])
         about[str(number)] = {"scene": name, "steps": bundle.frames, "recipe": bundle.recipe}
-    (out / "metadata.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-    return [*made, out / "metadata.json"]
+    return [*made, add(out / "metadata.json", json.dumps(about, indent=1) + "\n")]
 
 
 def _write(bundle: Bundle, path: Path) -> None:
-    import h5py
-
-    with atomic_file.published(path) as sink, h5py.File(sink, "w") as file:
+    with atomic_file.published(path) as sink, written_file(sink) as file:
         for name, values in episode(bundle).items():
             file.create_dataset(name, data=values, track_times=False)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from tacgen import atomic_file
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.hdf5_file import written_file
 from tacgen.export import names, needs
 
 SUFFIX = ".vtkhdf"
@@ -40,9 +41,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 
 def _write(bundle: Bundle, path: Path) -> None:
-    import h5py
-
-    with atomic_file.published(path) as sink, h5py.File(sink, "w") as file:
+    with atomic_file.published(path) as sink, written_file(sink) as file:
         _fill(file.create_group("VTKHDF", track_order=False), bundle)
 
 

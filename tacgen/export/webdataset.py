@@ -24,6 +24,7 @@ from tacgen.bundle.schema import UNITS
 from tacgen.errors import UserError
 from tacgen.export import names
 from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, values, write_splits
+from tacgen.output_file import add
 
 SHARD_BYTES = 1_000_000_000
 EVENTS = "/frames/events/"
@@ -39,16 +40,15 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     # no time and no user in the headers, so that the same bundles give the same bytes
     plain = {"mtime": 0, "user": "tacgen", "group": "tacgen", "verbose": 0}
     for split, (first, end) in split_ranges(every).items():
-        with ShardWriter(str(out / f"{split}-%06d.tar"), maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
+        pattern = str(out / split).replace("%", "%%") + "-%06d.tar"  # the writer's format string
+        with ShardWriter(pattern, maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
             for episode in every[first:end]:
                 for sample in samples(episode):
                     writer.write(sample)
     made = [*sorted(out.glob("*.tar")), write_splits(every, out)]
-    (out / "reference").mkdir()
     for name, bundle in zip(names(bundles), bundles, strict=True):
         if "/reference/rgb" in bundle:
-            made.append(out / "reference" / f"{name}.png")
-            made[-1].write_bytes(encoded(bundle["/reference/rgb"], "PNG"))
+            made.append(add(out / "reference" / f"{name}.png", encoded(bundle["/reference/rgb"], "PNG")))
     return made
 
 

@@ -4,6 +4,8 @@ Numbers come from SeedSequence((seed, scene, purpose)), never from the order of 
 row i of the whole plan.
 """
 
+import hashlib
+import json
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -58,6 +60,7 @@ class Plan:
     paths: tuple[str, ...] = ()  # what is varied
     warnings: tuple[str, ...] = ()  # what a person should know before this is run
     sensors: tuple[str, ...] = ()  # names of those that its scenes are made on, in the order of the recipe
+    inputs: str = ""  # SHA-256 of recipe and sensor, the same for all shards
 
 
 def load(
@@ -71,7 +74,9 @@ def load(
     """
     loaded = loading.read(source, sets, sensor)
     count = scene_count(loaded.recipe.vary) if loaded.recipe.vary else 1
-    return expand(loaded, range(shard[0], count, shard[1]))
+    known = [loaded.recipe.document(), loaded.sensor.model_dump(mode="json")]
+    inputs = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
+    return replace(expand(loaded, range(shard[0], count, shard[1])), inputs=inputs)
 
 
 def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:

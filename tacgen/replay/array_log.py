@@ -1,41 +1,84 @@
 """Logs in npz and HDF5 files: arrays with the names of a Layout. Messages of ValueErrors are for people."""
 
+import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tacgen import regular_file
+from tacgen.bundle import hdf5_file
+from tacgen.csv_table import LARGEST_NUMBER
+from tacgen.errors import UserError, why
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import UNIT_TOLERANCE
 from tacgen.replay.contact_log import ORDERS, ContactLog, Conventions
-from tacgen.replay.layouts import LAYOUTS, Force
+from tacgen.replay.layouts import LAYOUTS, Force, Layout
 
 Array = np.ndarray
 Arrays = dict[str, Array]
 LARGEST = 2**33  # of a file, and of one array [bytes]
+UNREAD = np.empty(0)  # in the place of arrays that are no part of a log
+LZF = 32000  # h5py's own filter
 
 
-def archive(path: Path) -> Arrays:
-    """All arrays of an npz file."""
-    with regular_file.opened(path, LARGEST) as content, np.load(content, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+def archive(path: Path, layout: Layout) -> Arrays:
+    """The arrays of a layout in an npz file, with the names of all others. Raises UserError: it cannot be read."""
+    try:
+        with warnings.catch_warnings(), regular_file.opened(path, LARGEST) as content:
+            warnings.simplefilter("ignore")  # about a header that an old NumPy wrote, or somebody crafted
+            if not zipfile.is_zipfile(content):
+                raise ValueError("it is no npz file")
+            content.seek(0)
+            with np.load(content, allow_pickle=False) as file:
+                sizes = {info.filename.removesuffix(".npy"): info.file_size for info in file.zip.infolist()}
+                if big := [name for name in layout.names & sizes.keys() if sizes[name] > LARGEST]:
+                    raise ValueError(f"{big[0]} is larger than {LARGEST >> 30} GB")
+                arrays = {name: file[name] if name in layout.names else UNREAD for name in file.files}
+                if no_array := [name for name, array in arrays.items() if not isinstance(array, np.ndarray)]:
+                    raise ValueError(f"{no_array[0]} is no array")
+                return arrays
+    except Exception as error:  # NumPy, zipfile and its decompressors fail in many ways on what is damaged or crafted
+        raise UserError(f"{path}: cannot be read: {_said_by(error)}") from error
 
 
-def hdf5(path: Path, group: str) -> Arrays:
-    """The datasets of one group of an HDF5 file. Raises ValueError: there is no such group."""
+def hdf5(path: Path, group: str, layout: Layout) -> Arrays:
+    """As `archive`, of one group of an HDF5 file."""
+    with hdf5_file.opened(path) as root:
+        try:
+            inner = hdf5_file.item_at(root, group)
+            names = _names(inner)
+        except (KeyError, ValueError, AttributeError, TypeError):  # nothing, a link, a dataset
+            there = ", ".join(_names(root)) or "none"
+            raise UserError(f"{path}: cannot be read: it has no group {group}; there are: {there}") from None
+        return {name: _dataset(path, inner, name) if name in layout.names else UNREAD for name in names}
+
+
+def _names(group: Any) -> list[str]:
+    """The names of what is in a group; h5py gives bytes for one that is no text."""
+    return [name if isinstance(name, str) else name.decode(errors="backslashreplace") for name in group]
+
+
+def _dataset(path: Path, group: Any, name: str) -> Array:
+    """A dataset of numbers or text, in the file itself. Raises UserError: it is something else."""
     import h5py
 
-    regular_file.opened(path, LARGEST).close()  # not a pipe
-    with h5py.File(path, "r") as file:
-        if not isinstance(inner := file.get(group), h5py.Group):
-            raise ValueError(f"it has no group {group}; there are: {', '.join(file) or 'none'}")
-        sets = {name: data for name, data in inner.items() if isinstance(data, h5py.Dataset)}
-        if big := [name for name, data in sets.items() if data.nbytes > LARGEST]:
-            raise ValueError(f"{big[0]} is larger than {LARGEST >> 30} GB")
-        return {
-            name: np.asarray(data.asstr()[()] if data.dtype.kind == "O" else data[()]) for name, data in sets.items()
-        }
+    try:
+        data = hdf5_file.item_at(group, name)
+        kind, text = data.dtype.kind, h5py.check_string_dtype(data.dtype)
+        if problem := hdf5_file.not_here(data.id, hdf5_file.FILTERS | {LZF}):
+            raise ValueError(problem)
+        if data.nbytes > LARGEST or (kind == "O" and text is None):
+            raise ValueError(f"it must be numbers or text of at most {LARGEST >> 30} GB")
+        return np.asarray(data.asstr()[()] if kind == "O" else data[()])
+    except Exception as error:  # as of `opened`
+        raise UserError(f"{path}: cannot be read: {name}: {_said_by(error)}") from error
+
+
+def _said_by(error: Exception) -> str:
+    return (why(error) or type(error).__name__).partition("\n")[0]
 
 
 def log_of(name: str, arrays: Arrays, how: Conventions, environment: int | None) -> ContactLog:
@@ -58,7 +101,7 @@ def log_of(name: str, arrays: Arrays, how: Conventions, environment: int | None)
     if arrays["time"].dtype.kind not in "fiu":
         raise ValueError("time holds no numbers")
     time = np.asarray(arrays["time"], float).ravel()
-    if len(time) < 1 or not (np.diff(time) > 0).all():
+    if len(time) < 1 or not ((np.abs(time) < LARGEST_NUMBER).all() and (np.diff(time) > 0).all()):
         raise ValueError("time must increase from row to row")
 
     def rows(name: str, width: int) -> Array:
@@ -89,14 +132,15 @@ def _force(known: Force, arrays: Arrays, rows: Callable[[str, int], Array]) -> A
         if arrays[known.friction].shape != arrays[known.name].shape:
             raise ValueError(f"{known.friction} has another shape than {known.name}: record both for the same body")
         force = force + np.nan_to_num(rows(known.friction, 3))  # nan where nothing touches
-    if not np.isfinite(force).all():
-        raise ValueError(f"{known.name} must be numbers, and is not in row {_first(~np.isfinite(force))}")
+    if (wrong := ~(np.abs(force) < LARGEST_NUMBER)).any():  # nan, too
+        raise ValueError(f"{known.name} must be numbers, and is not in row {_first(wrong)} (below {LARGEST_NUMBER:g})")
     return force
 
 
 def _said(what: str, option: str, arrays: Arrays, usual: str, known: tuple[str, ...]) -> str:
     """A convention by the option, the file's own entry, or the layout."""
-    own = str(arrays[what].item()) if what in arrays and arrays[what].ndim == 0 else ""
+    said = arrays[what].item() if what in arrays and arrays[what].ndim == 0 else ""
+    own = said.decode("ascii", "backslashreplace") if isinstance(said, bytes) else str(said)
     if own and own not in known:
         raise ValueError(f"its {what} is {own!r}, and must be one of {', '.join(known)}")
     if own and option and own != option:
@@ -130,9 +174,9 @@ def _rows(name: str, array: Array, count: int, width: int, environment: int | No
 def _poses(name: str, position: Array, quaternion: Array, order: str) -> Array:
     from scipy.spatial.transform import Rotation
 
-    length = np.linalg.norm(quaternion, axis=1)
-    wrong = ~(np.isfinite(position).all(1) & (np.abs(length - 1) <= UNIT_TOLERANCE))
-    if wrong.any():
+    large = ~(np.abs(np.hstack([position, quaternion])) < LARGEST_NUMBER).all(1)  # or nan
+    length = np.linalg.norm(np.where(large[:, None], np.nan, quaternion), axis=1)
+    if (wrong := ~(np.abs(length - 1) <= UNIT_TOLERANCE)).any():
         row = _first(wrong)
         raise ValueError(
             f"{name}: row {row}: a pose needs numbers and a quaternion of length 1 (got {length[row]:.4g})"

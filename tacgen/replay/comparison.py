@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from tacgen import output_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import Placement
@@ -176,14 +177,18 @@ def _aligned(rows: list[list[str]]) -> list[str]:
     return ["  " + "  ".join(cell.rjust(w) for cell, w in zip(row, wide, strict=True)) for row in rows]
 
 
-def write(found: Sequence[Compared], folder: Path) -> list[Path]:
-    """Write FILES into a folder; earlier ones are replaced. Returns their paths."""
-    from tacgen import atomic_file
+def write(
+    found: Sequence[Compared], folder: Path, inputs: Sequence[Path] = (), *, overwrite: bool = False
+) -> list[Path]:
+    """Write FILES into a folder and return their paths. Raises UserError: one is an input, or is there and is not what
+    tacgen wrote, and there is no `overwrite`."""
     from tacgen.report import force_figure
 
-    lines, words, picture = (folder / name for name in FILES)
+    paths = lines, words, picture = [folder / name for name in FILES]
+    options: dict[str, Any] = {"overwrite": overwrite, "within": folder, "kind": "result"}
     for path, content in ((lines, table(found)), (words, text(found) + "\n")):
-        atomic_file.write(path, content.encode())
+        output_file.put(path, content.encode(), inputs, **options)
     drawn = [force_figure.Series(one.log.name, one.ours, one.std, one.theirs, one.log.friction) for one in found]
-    force_figure.draw([one for one in drawn if len(one.ours)], picture)
-    return [lines, words, picture]
+    with output_file.written(picture, inputs, **options) as new:
+        force_figure.draw([one for one in drawn if len(one.ours)], new)
+    return paths

@@ -45,6 +45,14 @@ class Layout(NamedTuple):
         return _names(there, self.sensor_pose, self.sensor_position, self.sensor_rotation)
 
     @property
+    def names(self) -> set[str]:
+        """All arrays that are read, with those that say time and conventions."""
+        poses = (*self.position, *self.rotation, *self.pose)
+        sensors = (*self.sensor_position, *self.sensor_rotation, *self.sensor_pose)
+        forces = (name for force in self.forces for name in (force.name, force.friction))
+        return {"time", "quaternion", "units", *poses, *sensors, *forces}
+
+    @property
     def half_of_sensor(self) -> tuple[str, ...]:
         """Names of arrays that give the sensor's pose only together with another."""
         return (*self.sensor_position[:1], *self.sensor_rotation[:1])

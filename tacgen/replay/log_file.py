@@ -7,14 +7,14 @@ the names of a Layout. Both become a ContactLog: mm, s and N, poses in the world
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
-from tacgen.errors import UserError, why
+from tacgen.errors import UserError, printable
 from tacgen.recipe import pose_table
 from tacgen.replay import array_log
 from tacgen.replay.contact_log import ContactLog, Conventions
+from tacgen.replay.layouts import LAYOUTS
 
 TABLES, ARCHIVES, HDF5 = (".csv", ".txt"), (".npz",), (".h5", ".hdf5")
 
@@ -34,15 +34,18 @@ def read(path: Path, how: Conventions, environments: Sequence[int] = ()) -> list
         return [_oriented(_of_table(path, how), how)]
     if suffix not in (*ARCHIVES, *HDF5):
         raise UserError(f"{path}: is no log: it must be {', '.join((*TABLES, *ARCHIVES, *HDF5))}")
-    try:
-        arrays = array_log.archive(path) if suffix in ARCHIVES else array_log.hdf5(path, how.group)
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise UserError(f"{path}: cannot be read: {why(error)}") from None
+    layout = LAYOUTS[how.layout]
+    arrays = array_log.archive(path, layout) if suffix in ARCHIVES else array_log.hdf5(path, how.group, layout)
     many: Sequence[int | None] = environments or [None]
     try:
-        return [_oriented(array_log.log_of(path.stem, arrays, how, each), how) for each in many]
+        return [_oriented(array_log.log_of(_name(path), arrays, how, each), how) for each in many]
     except ValueError as error:
         raise UserError(f"{path}: {error}") from None
+
+
+def _name(path: Path) -> str:
+    """The name of a log, in one line of text."""
+    return printable(" ".join(path.stem.split()))
 
 
 def _of_table(path: Path, how: Conventions) -> ContactLog:
@@ -53,7 +56,7 @@ def _of_table(path: Path, how: Conventions) -> ContactLog:
     sensors = [row.sensor for row in rows if row.sensor is not None]
     forces = [row.force for row in rows if row.force is not None]
     found = ContactLog(
-        path.stem,
+        _name(path),
         np.arange(len(rows)),
         np.array([row.time for row in rows]),
         np.array([row.pose for row in rows]),

@@ -80,7 +80,7 @@ def prepare(
     }
     files = {f"log-{k:05d}.csv": written_recipe.table(log) for k, log in enumerate(touching)}
     up = {"indenter": {"up": body.indenter.up}} if body.indenter.shape == "mesh" else {}
-    source = recipe if base == assets.folder("recipes") / f"{recipe}.yaml" else str(base.resolve())
+    source = Path(recipe) if base == assets.folder("recipes") / f"{recipe}.yaml" else base.resolve()
     start = {"start": Start().model_dump()} if "start" in tree.data else {}
     left = tuple(text for text in sets if not text.strip().startswith(WRITTEN))
     grazes = {"may_miss": True}  # a log whose closest row may touch nothing

@@ -1,6 +1,7 @@
 """The files that replay logs: a table of poses for each, and a recipe that `tacgen run` takes."""
 
 import json
+import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import atomic_file, output_file, regular_file
+from tacgen import output_file
+from tacgen.errors import UserError, printable
 from tacgen.replay import comparison
 from tacgen.replay.contact_log import ContactLog
+from tacgen.sensor.yaml_source import quoted
 
 Array = np.ndarray
 RECIPE = "recipe.yaml"
-LARGEST = 2**28  # of the files that an earlier call wrote [bytes]
 TITLES = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
 
@@ -38,12 +40,12 @@ def table(log: ContactLog) -> str:
     return "\n".join(lines) + "\n"
 
 
-def text(base: str, sets: Sequence[str], move: dict[str, Any], tables: list[str], more: dict[str, Any]) -> str:
+def text(base: Path, sets: Sequence[str], move: dict[str, Any], tables: list[str], more: dict[str, Any]) -> str:
     """The text of a recipe that replays tables, each in a scene of its own."""
     overrides = "".join(f" --set {shlex.quote(' '.join(text.split()))}" for text in sets)
     vary = {"method": "grid", "over": {"trajectory[0].replay.file": {"choice": tables}}} if len(tables) > 1 else None
     keys = {"trajectory": [{"replay": {"file": tables[0], **move}}], **more}
-    lines = [f"# tacgen run {RECIPE} -o OTHER_FOLDER{overrides}", f"extends: {json.dumps(base)}"]
+    lines = [f"# {printable(f'tacgen run {RECIPE} -o OTHER_FOLDER{overrides}')}", f"extends: {quoted(base)}"]
     lines += [f"{key}: {json.dumps(value)}" for key, value in {**keys, "vary": vary}.items()]
     return "\n".join(lines) + "\n"
 
@@ -52,15 +54,16 @@ def write(files: dict[str, str], out: Path, inputs: Sequence[Path], overwrite: b
     """Write text files into a folder.
 
     Raises:
-        UserError: one is there with other contents and no `overwrite`, or is one of `inputs`; in a folder of something
-            else, a file has the name of a result.
+        UserError: one of `inputs` has the name of one, or of a result or bundle; without `overwrite`, one is there with
+            other contents, or a result that tacgen did not write or that somebody changed.
     """
-    if not (out / RECIPE).exists():
-        for name in comparison.FILES:
-            output_file.refuse(out / name, overwrite=overwrite)
-    out.mkdir(parents=True, exist_ok=True)
+    for name in comparison.FILES:
+        output_file.refuse(out / name, inputs, overwrite=overwrite, kind="result")
+    for path in inputs:
+        if path.resolve().parent == out.resolve() and re.fullmatch(r"scene-\d+\.h5", path.resolve().name):
+            raise UserError(f"{path}: is a log, and has the name of a bundle in {out}: choose another folder")
     for name, text in files.items():
-        if not (out / name).is_file() or regular_file.read_bytes(out / name, LARGEST) != text.encode():
+        if not output_file.holds(out / name, text.encode()):
             output_file.refuse(out / name, inputs, overwrite=overwrite)
     for name, text in files.items():
-        atomic_file.write(out / name, text.encode())
+        output_file.put(out / name, text.encode(), inputs, overwrite=overwrite, within=out)

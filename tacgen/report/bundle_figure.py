@@ -131,10 +131,11 @@ def _mesh(quality: dict[str, Any]) -> str:
 def heading(sheet: Page, bundle: Bundle) -> None:
     """The bundle's name, indenter and sensor at the top of a sheet, and in red why it was rejected."""
     text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {sensor_text(bundle)}"
-    sheet.figure.text(0.5, 1 - 0.12 / sheet.height, text, ha="center", va="top", fontsize=11)
+    plain: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}  # names may hold $
+    sheet.figure.text(0.5, 1 - 0.12 / sheet.height, text, fontsize=11, **plain)
     if bundle.attrs["status"] != "ok":
         text = f"{bundle.attrs['status']}: {bundle.attrs['reason']}"
-        sheet.figure.text(0.5, 1 - 0.34 / sheet.height, text, ha="center", va="top", fontsize=8, color="#b00000")
+        sheet.figure.text(0.5, 1 - 0.34 / sheet.height, text, fontsize=8, color="#b00000", **plain)
 
 
 def image_size(bundle: Bundle) -> tuple[int, int]:

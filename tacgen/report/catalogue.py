@@ -7,7 +7,7 @@ from tacgen.export import EXPORTERS
 from tacgen.outputs import NAMES, OUTPUTS
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import SHAPES
-from tacgen.sensor.yaml_source import at, load
+from tacgen.sensor.yaml_source import at, load, text_of
 
 Entries = dict[str, str]  # name -> description in one line
 
@@ -25,7 +25,7 @@ def recipes() -> Entries:
     for name in assets.list_recipes():
         path = assets.recipe_path(name)
         load(path)  # raises UserError if it is not valid YAML
-        described[name] = path.read_text(encoding="utf-8").split("\n", 1)[0].lstrip("# ")
+        described[name] = text_of(path).split("\n", 1)[0].lstrip("# ")
     return described
 
 

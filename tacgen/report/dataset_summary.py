@@ -16,6 +16,7 @@ from tacgen.bundle.caption import shape_text
 from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.report.sheet import counted
+from tacgen.sensor.yaml_source import text_of
 
 MAX_VALUES = 12  # named of a varied quantity that is no number
 
@@ -202,6 +203,8 @@ def _common(shapes: list[tuple[int, ...]]) -> str:
 
 def _licence(name: str) -> str:
     """The line of an object's README that states its licence."""
-    readme = assets.object_path(name) / "README.md"
-    lines = readme.read_text(encoding="utf-8").splitlines() if readme.is_file() else []
+    try:
+        lines = text_of(assets.object_path(name) / "README.md").splitlines()
+    except UserError:
+        lines = []
     return next((line.lstrip("-* ") for line in lines if "licen" in line.lower()), "licence not stated")

@@ -50,7 +50,8 @@ def draw(series: Sequence[Series], out: Path) -> None:
             error.plot(x, one.ours[:, 2] - one.theirs[:, 2], ".-", color=THEIRS, markersize=3, linewidth=1)
         if len(series) <= NAMED:
             where = (start, 1.03)
-            normal.text(*where, one.name, transform=normal.get_xaxis_transform(), fontsize=7, rotation=15)
+            upright = {"transform": normal.get_xaxis_transform(), "rotation": 15}
+            normal.text(*where, one.name, fontsize=7, parse_math=False, **upright)
         start += len(one.ours)
         for axes in (normal, error, side) if start < count else ():
             axes.axvline(start - 0.5, color="#cccccc", linewidth=0.6)

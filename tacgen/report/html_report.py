@@ -39,7 +39,7 @@ def write(folder: Path, out: Path, target: Path | None = None) -> Path:
     seen = dataset_summary.look(folder)
     bundles = [scene.bundle for scene in pictured(seen) if scene.bundle is not None]
     links = scene_pages.write_pages(bundles, target or out, in_3d=False)
-    out.write_bytes(output_file.signed(page(seen, links)))
+    output_file.add(out, output_file.signed(page(seen, links)))
     return out
 
 

@@ -26,10 +26,10 @@ def draw(rows: Sequence[Sequence[tuple[str, Array, Array]]], title: str, out: Pa
         for k, (name, image, untouched) in enumerate(row):
             change = GREY + CONTRAST * (image.astype(float) - untouched)
             line[k].imshow(image)
-            line[k].set_title(name, fontsize=8)
+            line[k].set_title(name, fontsize=8, parse_math=False)
             line[k + count].imshow(np.clip(change, 0, 255).astype(np.uint8))
-            line[k + count].set_title(f"change x {CONTRAST:g}, {name.split(':')[0]}", fontsize=8)
+            line[k + count].set_title(f"change x {CONTRAST:g}, {name.split(':')[0]}", fontsize=8, parse_math=False)
     for one in axes.ravel():
         one.set_axis_off()
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)
     save(figure, out)

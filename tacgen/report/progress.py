@@ -5,6 +5,7 @@ import sys
 import time
 from typing import Any, TextIO
 
+from tacgen.errors import printable
 from tacgen.report.sheet import duration
 from tacgen.terminal import dropping
 
@@ -91,7 +92,7 @@ class Progress:
 
     def _say(self, text: str, *, lasting: bool = True) -> None:
         """Print a line. On a terminal, only `lasting` lines are printed; others appear in the bar."""
-        at = self.done + sum(self.under_way.values())
+        at, text = self.done + sum(self.under_way.values()), printable(text)
         left = self._left(at)
         if self.bar is not None:
             if lasting:

@@ -69,8 +69,8 @@ def write_pages(bundles: Iterable[Bundle], page: Path, *, in_3d: bool) -> dict[s
         if not bundle.frames:
             continue
         name = name_of(bundle)
-        with output_file.written(folder / f"{name}.html") as new:
-            new.write_bytes(output_file.signed(viewer.page([bundle], in_3d=in_3d)))
+        with output_file.written(folder / f"{name}.html", within=page.parent, kind="page") as new:
+            output_file.add(new, output_file.signed(viewer.page([bundle], in_3d=in_3d)))
         links[name] = f"{quote(folder.name)}/{quote(name)}.html"
     return links
 
@@ -95,7 +95,7 @@ def write(folder: Path, out: Path, real_out: Path) -> int:
         raise UserError(f"{folder}: no scene has frames to show")
     links = write_pages([scene.bundle for scene in chosen if scene.bundle], real_out, in_3d=True)
     left = len(seen.scenes) - len(chosen)
-    out.write_bytes(output_file.signed(_page(seen, chosen, links, left)))
+    output_file.add(out, output_file.signed(_page(seen, chosen, links, left)))
     return left
 
 

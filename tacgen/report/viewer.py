@@ -65,7 +65,7 @@ def write(paths: Sequence[Path], out: Path) -> None:
     for bundle in bundles:
         if not bundle.frames:
             raise UserError(f"{bundle.path}: has no frames to show")
-    out.write_bytes(output_file.signed(page(bundles)))
+    output_file.add(out, output_file.signed(page(bundles)))
 
 
 def page(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:

@@ -189,22 +189,25 @@ def parents_first(paths: Iterable[str]) -> list[str]:
 
 def load(path: Path) -> Tree:
     """Read a YAML file. Raises UserError: it cannot be read, is not text or not YAML, or has a key twice."""
-    name = str(path)
+    text = text_of(path)
+    return parse(text, Source(str(path), tuple(text.splitlines()) or ("",), path.parent))
+
+
+def text_of(path: Path) -> str:
+    """The text of a YAML file. Raises UserError: it cannot be read, or is not text."""
     try:
-        raw = regular_file.read_bytes(path, LARGEST)
+        text = regular_file.read_bytes(path, LARGEST).decode("utf-8-sig").replace("\r\n", "\n")
     except FileNotFoundError:
-        raise UserError(f"{name}: no such file") from None
+        raise UserError(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise UserError(f"{name}: is a folder, not a file") from None
-    except (OSError, ValueError) as error:
-        raise UserError(f"{name}: cannot be read: {why(error)}") from None
-    try:
-        text = raw.decode("utf-8-sig")
+        raise UserError(f"{path}: is a folder, not a file") from None
     except UnicodeDecodeError:
-        raise UserError(f"{name}: is not a text file (UTF-8)") from None
+        text = "\0"
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
     if "\0" in text:
-        raise UserError(f"{name}: is not a text file (UTF-8)")
-    return parse(text, Source(name, tuple(text.splitlines()) or ("",), path.parent))
+        raise UserError(f"{path}: is not a text file (UTF-8)")
+    return text
 
 
 def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
@@ -217,7 +220,7 @@ def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
     yaml = YAML(typ="rt")
     yaml.indent(mapping=2, sequence=4, offset=2)
     yaml.width = 4096  # no line is wrapped
-    root = yaml.load(path.read_text(encoding="utf-8-sig"))
+    root = yaml.load(text_of(path))
 
     def written(value: Any) -> Any:
         if isinstance(value, dict):
@@ -262,6 +265,15 @@ def dumped(data: Any) -> str:
     yaml.width = 2**16
     yaml.dump(quoted(data), out)
     return out.getvalue()
+
+
+def quoted(path: Path) -> str:
+    """A path as YAML in one line. Raises UserError: it is no text, as the names of files may be."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise UserError(f"{path}: is no text (UTF-8), which a recipe could hold: rename it") from None
+    return dumped([str(path)]).removeprefix("- ").rstrip("\n")
 
 
 def parse(text: str, source: Source) -> Tree:

@@ -1,6 +1,7 @@
 """Benches: tables, plots and the page that they make, what a scene pays for, and that each of them runs."""
 
 import json
+import shutil
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
@@ -33,6 +34,7 @@ from benchmarks import (
 )
 from benchmarks.cases import PLAIN
 from tacgen.cli import app
+from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import solver
 from tacgen.optics import camera_response
@@ -411,3 +413,18 @@ def test_everything_is_what_a_recipe_can_ask_of_that_sensor(sensor: str) -> None
     asked = pipeline.row(sensor, "draft", pipeline.EVERYTHING, pipeline.FEW).recipe.outputs
     assert asked >= {"force", "traction", "stress", "flow", "radiance", "rgb"}
     assert ("markers" in asked) == (sensor == "gelsight_mini")
+
+
+@pytest.mark.parametrize("name", ["RESULTS.md", "results/cost.json", "results/cost.png"])
+def test_a_file_that_no_bench_wrote_is_not_replaced(tmp_path: Path, name: str) -> None:
+    (place := tmp_path / name).parent.mkdir(exist_ok=True)
+    place.write_text("mine")
+    with pytest.raises(UserError, match=f"{name}: was not written by tacgen bench"):
+        bench.run(["cost"], tmp_path, "smoke", print)
+    assert place.read_text() == "mine"
+
+
+def test_results_of_benches_are_known_as_such(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "docs" / "results", tmp_path / "results")
+    shutil.copy(ROOT / "docs" / "RESULTS.md", tmp_path)
+    bench._refuse_foreign([path.stem for path in (tmp_path / "results").glob("*.json")], tmp_path)

@@ -1,6 +1,7 @@
 """Pictures in linear light: what the bundle holds comes back from OpenEXR's own reader, to the bit."""
 
 import errno
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
@@ -54,9 +55,10 @@ def test_a_bundle_without_radiance_is_refused(tmp_path: Path) -> None:
         export("exr", pipeline.run_scene(row, tmp_path / "out").path, tmp_path / "exr")
 
 
-def test_a_full_disk_is_an_error_of_the_disk(tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error_of_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """OpenEXR itself says nothing of a disk that is full as it closes a small file."""
-    (tmp_path / "scene-00000_00000.exr").symlink_to("/dev/full")
+    scene = bundle.read(whole_bundle.write(tmp_path / "scene-00000.h5", frames=1))
+    monkeypatch.setattr(Path, "open", lambda path, mode: FileIO("/dev/full", "w"))
     with pytest.raises(OSError, match="No space left") as caught:
-        write([bundle.read(whole_bundle.write(tmp_path / "scene-00000.h5", frames=1))], tmp_path)
+        write([scene], tmp_path)
     assert caught.value.errno == errno.ENOSPC

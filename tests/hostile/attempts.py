@@ -16,7 +16,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from random import Random
+from typing import Any
 
+import h5py
+import numpy as np
 from helpers import whole_bundle
 from helpers.scenes import make_plan
 from helpers.synthetic import OUTPUTS, write
@@ -28,6 +31,9 @@ from tacgen.bundle.journal import Journal, write_plan
 from tacgen.cli_common import writing
 from tacgen.errors import LeftOut, UserError
 from tacgen.export import EXPORTERS
+from tacgen.recipe import plan_table
+from tacgen.replay import log_file
+from tacgen.replay.contact_log import Conventions
 from tacgen.report import dataset_card
 from tacgen.report.field_figure import FIELDS
 
@@ -63,7 +69,7 @@ def base(folder: Path) -> Path:
         more = {"sensor_document": row.sensor_document(), "notes": ["a note"], "recipe": row.document()}
         path = write(loose / f"{row.name}.h5", outputs=OUTPUTS, shape=(16, 16), **known, **more)
         path.with_suffix(".timing.json").write_text('{"frames": 12, "seconds": {"solve": 1.5, "mesh": 0.25}}')
-    write_plan(plan, loose, None)
+    write_plan(plan_table.as_json(plan), loose, None)
     with Journal(loose, None) as journal:
         for row in plan.rows:
             journal.write({"event": "scene", "scene": row.name, "status": "failed", "reason": "a reason"})
@@ -86,13 +92,48 @@ render: {background: photo.png}
 """
 
 
+def log_arrays() -> dict[str, Any]:
+    """A ball that comes down to the gel, as a simulator records it: four rows in mm, quaternions w x y z."""
+    position = np.zeros((4, 3))
+    position[:, 2] = (6.0, 4.2, 3.8, 3.6)  # of the centre of a ball of 4 mm
+    turn = np.tile([1.0, 0, 0, 0], (4, 1))
+    known = {"units": "mm", "quaternion": "wxyz"}
+    return {
+        "time": 0.1 * np.arange(4),
+        "object_position": position,
+        "object_quaternion": turn,
+        "force": position,
+        **known,
+    }
+
+
+LOG_TABLE = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x_n,force_y_n,force_z_n\n" + "".join(
+    f"{t},0,0,{z},1,0,0,0,0,0,{-t}\n" for t, z in enumerate((6, 4.2, 3.8, 3.6))
+)
+
+
+def logs(folder: Path) -> None:
+    """The same log as a table, an archive and an HDF5 file."""
+    folder.mkdir()
+    (folder / "log.csv").write_text(LOG_TABLE)
+    np.savez_compressed(folder / "log.npz", **log_arrays())
+    with h5py.File(folder / "log.h5", "w") as file:
+        file.update(log_arrays())
+
+
+def _logs(folder: Path) -> None:
+    for path in sorted(folder.glob("log.*")):
+        log_file.read(path, Conventions())
+
+
 def inputs(folder: Path) -> Path:
-    """`inputs`: a recipe, its sensor file, pose table, photograph, and a ball in three formats."""
+    """`inputs`: a recipe, its sensor file, pose table, photograph, and a ball in three formats; `logs`."""
     import trimesh
     from PIL import Image
 
     from tacgen.recipe import assets
 
+    logs(folder / "logs")
     here = folder / "inputs"
     here.mkdir()
     (here / "recipe.yaml").write_text(RECIPE)
@@ -221,8 +262,8 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
     which, reader = other.choice(("loose", "packed")), other.choice(sorted(READERS))
     if kind == "resealed":
         which = "whole"
-    if kind in ("inputs", "numbers"):
-        which = reader = "inputs"
+    if kind in ("inputs", "numbers", "logs"):
+        which = reader = "logs" if kind == "logs" else "inputs"
     with tempfile.TemporaryDirectory() as scratch:
         folder, note = Path(scratch) / which, Path(scratch) / "note"
         shutil.copytree(source / which, folder)
@@ -234,7 +275,7 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
 
 def _read(reader: str, folder: Path, wanted: Content | None) -> str:
     """What is no longer what it was is wrong, unless `check` says so."""
-    READERS.get(reader, _inputs)(folder)
+    ({**READERS, "inputs": _inputs, "logs": _logs})[reader](folder)
     if wanted is not None and reader == "check":
         try:
             found = Content.of(folder)

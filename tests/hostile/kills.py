@@ -16,6 +16,7 @@ from hostile.attempts import Attempt, contained
 from tacgen import array_cache, atomic_file, export
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.journal import write_plan
+from tacgen.recipe import plan_table
 
 
 def _pack(source: Path, here: Path) -> None:
@@ -34,7 +35,7 @@ def _cache(source: Path, here: Path) -> None:
 
 def _plan(source: Path, here: Path) -> None:
     atomic_file.sweep(here)  # as every run begins
-    write_plan(make_plan(source, 3), here, None)
+    write_plan(plan_table.as_json(make_plan(source, 3)), here, None)
 
 
 WORKS: dict[str, Callable[[Path, Path], Any]] = {

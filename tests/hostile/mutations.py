@@ -275,8 +275,30 @@ def odd_numbers(rng: Random, folder: Path) -> str:
     return f"{number} in {path.name} at {found.start()}"
 
 
+def spoilt_log(rng: Random, folder: Path) -> str:
+    """Damage to the bytes of a log, or an array of it exchanged for an odd one."""
+    path = rng.choice(files(folder))
+    if path.suffix == ".csv" or rng.random() < 0.6:
+        data = bytearray(path.read_bytes())
+        at, junk = rng.randrange(len(data)), rng.randbytes(rng.choice((1, 4, 40)))
+        data[at : at + rng.choice((0, len(junk)))] = junk
+        path.write_bytes(data[: rng.choice((len(data), len(data), at))])
+        return f"bytes of {path.name} at {at}"
+    odd = rng.choice((b"\xff", np.zeros((4, 0)), np.full((4, 3), np.nan), np.zeros(2), np.full((4, 3), 1e300), np.inf))
+    name = rng.choice(("time", "object_position", "object_quaternion", "force", "units"))
+    if path.suffix == ".npz":
+        with np.load(path) as found:
+            np.savez_compressed(path, **{**found, name: odd})
+        return f"{name} of {path.name}"
+    with h5py.File(path, "a") as file:
+        del file[name]
+        file[name] = rng.choice((odd, h5py.Empty("f8"), h5py.SoftLink(f"/{name}"), h5py.ExternalLink("log.npz", "/a")))
+    return f"{name} of {path.name}"
+
+
 MUTATIONS: dict[str, Mutation] = {
     "inputs": damaged_input,
+    "logs": spoilt_log,
     "numbers": odd_numbers,
     "bytes": damaged_bytes,
     "special": special,

@@ -130,7 +130,7 @@ def test_gravity_is_a_direction(tmp_path: Path, gravity: str) -> None:
     assert outcome(lambda: plan.load(assets.recipe_path("grasp"), sets), tmp_path) == "refused"
 
 
-@pytest.mark.parametrize("kind", ["inputs", "numbers"])
+@pytest.mark.parametrize("kind", ["inputs", "numbers", "logs"])
 def test_damaged_inputs(tmp_path: Path, kind: str) -> None:
     source = attempts.inputs(tmp_path)
     found = [attempts.attempt(kind, seed, source) for seed in range(15)]
