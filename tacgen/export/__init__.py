@@ -37,6 +37,9 @@ EXPORTERS = {
 }
 
 
+DIVIDED = ("lerobot", "sparsh", "feelanyforce", "zarr", "webdataset")  # into train, val and test
+
+
 def bundles(source: Path, *, merge: bool = False) -> "list[Bundle]":
     """The finished bundle `source`, or all of a data set, in order, without rejected scenes; `merge` as of `scenes`.
 
@@ -59,6 +62,7 @@ def export(
     merge: bool = False,
     overwrite: bool = False,
     card: "Callable[[Sequence[Bundle], Path], str] | None" = None,
+    tell: "Callable[[Sequence[str]], None] | None" = None,
 ) -> list[Path]:
     """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
 
@@ -68,6 +72,7 @@ def export(
         merge: `source` may hold several data sets, which become one.
         overwrite: `out`, if it is a file, may exist.
         card: makes the text of README.md in the place of that card, from the bundles and the folder that is written.
+        tell: takes warnings, such as of a split without scenes.
 
     Raises:
         UserError: an unknown format, nothing to export, a damaged bundle, or one without the datasets that the
@@ -79,6 +84,8 @@ def export(
         from tacgen.sensor.validation_messages import suggest
 
         raise UserError(f"{kind}: unknown format{suggest(kind, EXPORTERS)}; there are: {', '.join(EXPORTERS)}")
+    from tacgen.bundle.splits import empty_parts
+
     sources = bundles(source, merge=merge)
     for bundle in sources:
         bundle.verify()
@@ -95,6 +102,8 @@ def export(
         if page:
             (folder / CARDS[0]).write_bytes(page)
             made.append(Path(CARDS[0]))
+    if tell and kind in DIVIDED:
+        tell(empty_parts(sources))
     return [out / path for path in made]
 
 
