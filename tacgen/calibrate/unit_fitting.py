@@ -134,7 +134,6 @@ class Work:
             center = camera.project([[x, y, -depth]])[0]
             contact = self.dents[best][press.ball].contact_at(depth) / camera.mm_per_px
             shown = np.clip(first + (press.picture.astype(float) - press.untouched), 0, 255).astype(np.uint8)
-            out.append(
-                PhotographedPress(press.name, shown, press.ball, (float(center[0]), float(center[1])), contact, depth)
-            )
+            at, ball = (float(center[0]), float(center[1])), press.ball
+            out.append(PhotographedPress(press.name, shown, ball, at, contact, depth, aspect=camera.aspect))
         return tuple(out)
