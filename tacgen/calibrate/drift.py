@@ -25,7 +25,7 @@ def share(pictures: Sequence[PressPicture], gauge: Gauge) -> float:
         here, time = np.flatnonzero(where), gauge.time[where]
         if len(here) >= LEAST:
             time = time if np.isfinite(time).all() and where is not rest else np.arange(len(here))
-            part += _in_time(np.array([pictures[k].change.ravel() for k in here]), time)
+            part += _in_time(np.array([pictures[int(k)].change.ravel() for k in here]), time)
     return max(part, sum(one.smooth for one in pictures)) / whole
 
 
