@@ -24,7 +24,7 @@ FARTHEST = 3.0  # relative error of one force, after that which the method expec
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a fit is judged by; each is left out where a fit has none of it."""
+    """Grounds on which a fit is judged; each is left out where a fit has none of it."""
 
     force: tuple[Array, Array, Array | float] | None = None  # fitted, measured (n,) [N]; factors on expected errors
     pictures: tuple[float, float] | None = None  # share of their change that dents explain, and a drift without any
@@ -53,7 +53,7 @@ class SensorFit(ABC):
 
     @abstractmethod
     def evidence(self) -> Evidence:
-        """What the fit is judged by."""
+        """Grounds on which the fit is judged."""
 
     def head(self) -> Iterator[str]:
         """Lines of a comment at the head of the written file."""

@@ -137,7 +137,7 @@ class Unit(SensorFit):
         }  # fmt: skip
 
     def head(self) -> Iterator[str]:
-        """What was found."""
+        """Numbers that were found, and how well."""
         yield f"Fitted {BY} to {self.said}:"
         yield from (f"  {line}" for line in self.found())
         yield from self.unseen()
