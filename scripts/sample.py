@@ -117,6 +117,8 @@ def baseline(data: Path) -> dict[str, dict[str, dict[str, float]]]:
     """Scores by sensor of the linear baseline and of a guess. Raises UserError: a split without scenes."""
     train, val, test = (frames(data, split) for split in SPLITS)
     scores = {}
+    if missing := [sensor for sensor in train if sensor not in val or sensor not in test]:
+        raise UserError(f"{data}: no scene of {' and '.join(missing)} in val or test: make more scenes")
     for sensor, known in train.items():
         off = {float(p): np.mean((said(fitted(known, p), val[sensor]) - targets(val[sensor])) ** 2) for p in PENALTIES}
         weights = fitted(known, min(off, key=lambda p: off[p]))

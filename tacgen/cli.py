@@ -331,7 +331,7 @@ def export(
 
     page = hub_card.writer(kind, source, out, licence=licence, merge=merge) if card else None
     with writing(out):
-        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite, card=page)
+        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite, card=page, tell=warn)
     show_result([str(path) for path in made], "\n".join(map(str, made)), as_json)
 
 

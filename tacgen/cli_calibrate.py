@@ -1,18 +1,21 @@
 """`tacgen calibrate`: sensor files fitted to measurements of one's own unit."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tacgen.cli_common import AsJson, Overwrite, allowed, show_result, written
-from tacgen.errors import UserError
+
+if TYPE_CHECKING:
+    from tacgen.calibrate.plausible import SensorFit
 
 calibrations = typer.Typer(
     no_args_is_help=True, help="Fit a sensor file to your own unit: lights to photographs, gel to forces."
 )
 SensorFile = Annotated[str, typer.Option("--sensor", help="The sensor file to start from, by name or path.")]
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="Write the sensor file here.")]
+Anyway = Annotated[bool, typer.Option("--anyway", help="Write the file though the fit is not plausible.")]
 
 
 @calibrations.command()
@@ -31,9 +34,7 @@ def optics(
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Draw unseen presses: photographed, and rendered before and after.")
     ] = None,
-    anyway: Annotated[
-        bool, typer.Option("--anyway", help="Write the file though it is not better on unseen presses.")
-    ] = False,
+    anyway: Anyway = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -43,18 +44,8 @@ def optics(
     inputs = [Path(sensor), images]
     allowed((out, figure), inputs, overwrite)
     fitted = fitting.optics(sensor, images, fitting.FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
-    lines, problem = list(fitted.lines()), fitted.problem()
-    if figure is not None:
-        with written(figure, inputs, overwrite) as path:
-            fitted.draw(path)
-        lines.append(f"{figure}: unseen presses, photographed and rendered")
-    if out is not None and (anyway or not problem):
-        with written(out, inputs, overwrite) as path:
-            fitted.write(path)
-        lines.append(f"{out}: the sensor file of this unit")
-    show_result(fitted.plain(), "\n".join(lines), as_json)
-    if out is not None and problem and not anyway:
-        raise UserError(f"{out}: not written: {problem}; --anyway writes it")
+    drawn = figure, "unseen presses, photographed and rendered"
+    _finish(fitted, "unit", inputs, drawn, out, anyway=anyway, overwrite=overwrite, as_json=as_json)
 
 
 @calibrations.command()
@@ -73,6 +64,7 @@ def material(
     ] = "",
     no_zero: Annotated[bool, typer.Option("--no-zero", help="Depths are exact: do not fit their zero.")] = False,
     prony: Annotated[int, typer.Option(min=0, max=3, help="Terms of a Prony series to fit; needs time_s.")] = 0,
+    anyway: Anyway = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -82,16 +74,8 @@ def material(
     inputs = [Path(sensor), Path(recipe), data]
     allowed((out, plot), inputs, overwrite)
     fitted = fitting.material(sensor, recipe, data, fitting.Unknowns(not no_zero, second, prony))
-    lines = list(fitted.lines())
-    if plot is not None:
-        with written(plot, inputs, overwrite) as path:
-            fitted.draw(path)
-        lines.append(f"{plot}: forces, and what the fit is off by")
-    if out is not None:
-        with written(out, inputs, overwrite) as path:
-            fitted.write(path)
-        lines.append(f"{out}: the sensor file of this gel")
-    show_result(fitted.plain(), "\n".join(lines), as_json)
+    drawn = plot, "forces, and what the fit is off by"
+    _finish(fitted, "gel", inputs, drawn, out, anyway=anyway, overwrite=overwrite, as_json=as_json)
 
 
 @calibrations.command()
@@ -114,6 +98,7 @@ def unit(
     tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")] = 5.0,
     no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw forces from pictures over measured ones.")] = None,
+    anyway: Anyway = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -125,13 +110,26 @@ def unit(
     allowed((out, plot), inputs, overwrite)
     limits = FitLimits(tolerance_mm, tolerance_deg, no_markers)
     fitted = fitting.unit(sensor, images, fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits))
-    lines = list(fitted.lines())
-    if plot is not None:
-        with written(plot, inputs, overwrite) as path:
+    drawn = plot, "forces from pictures over measured ones"
+    _finish(fitted, "unit", inputs, drawn, out, anyway=anyway, overwrite=overwrite, as_json=as_json)
+
+
+def _finish(
+    fitted: "SensorFit", of: str, inputs: list[Path], drawn: tuple[Path | None, str], out: Path | None, *,
+    anyway: bool, overwrite: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Draw, write and print a fit. Raises UserError, after printing it: it is not plausible and must not be written."""
+    lines, problem, (figure, what) = list(fitted.lines()), fitted.problem(), drawn
+    if figure is not None:
+        with written(figure, inputs, overwrite) as path:
             fitted.draw(path)
-        lines.append(f"{plot}: forces from pictures over measured ones")
-    if out is not None:
+        lines.append(f"{figure}: {what}")
+    if out is not None and (anyway or not problem):
         with written(out, inputs, overwrite) as path:
-            fitted.write(path)
-        lines.append(f"{out}: the sensor file of this unit")
-    show_result(fitted.plain(), "\n".join(lines), as_json)
+            fitted.write(path, anyway=anyway)
+        lines.append(f"{out}: the sensor file of this {of}")
+    if problem and (anyway or out is None):
+        lines.append(f"not plausible: {problem}")
+    show_result({**fitted.plain(), "problem": problem}, "\n".join(lines), as_json)
+    if out is not None and not anyway:
+        fitted.refuse(out)

@@ -1,7 +1,8 @@
-"""Reading of CSV tables with a header; problems are reported by line."""
+"""CSV tables with a header: reading, with problems by line, and numbers of a column as text."""
 
 import csv
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from tacgen import regular_file
@@ -81,6 +82,14 @@ def few(messages: list[str]) -> list[str]:
     """The first messages about a table's lines, and how many more there are."""
     more = len(messages) - MOST_MESSAGES
     return [*messages[:MOST_MESSAGES], f"and {more} more lines"] if more > 0 else messages
+
+
+def numerals(values: Sequence[float], digits: int) -> list[str]:
+    """Numbers of a column with `digits` significant digits, or as many more as keep different ones apart: times may be
+    seconds since 1970."""
+    count = len(set(values))
+    made = ([f"{value:.{n}g}" for value in values] for n in range(digits, 18))
+    return next((texts for texts in made if len(set(texts)) == count), [*map(repr, values)])
 
 
 def number(text: str) -> float:

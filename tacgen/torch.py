@@ -49,8 +49,8 @@ class TactileDataset:
         transform: a function that is applied to each item.
 
     Raises:
-        UserError: no scenes, several data sets without `merge`, a damaged or newer file, a missing shard, or a field
-            that a scene does not have.
+        UserError: no scenes, or no frames that are unique, several data sets without `merge`, a damaged or newer file,
+            a missing shard, or a field that a scene does not have.
 
     A LeftOut warning names bundles that are not of the plan of their folder, which are left out.
     """
@@ -81,6 +81,8 @@ class TactileDataset:
         each = [np.flatnonzero(scene[UNIQUE]) if unique else np.arange(scene.frames) for scene in self.scenes]
         self._frame = np.concatenate([*each, np.zeros(0, np.int64)])
         self._starts = np.concatenate([[0], np.cumsum([len(frames) for frames in each])]).astype(int)
+        if self.scenes and not len(self._frame):  # a loss over it would be nan
+            raise UserError(f"{path}: no frame of split {split!r} is unique: more scenes, or another split")
         self._forget()
 
     def __len__(self) -> int:

@@ -208,3 +208,11 @@ def test_both_fingers_of_a_grasp_are_in_the_same_part(tmp_path: Path) -> None:
         assert pairs.sensors == ("left", "right")
         parts.append(len(pairs))
     assert parts == [4 * FRAMES, 2 * FRAMES, 2 * FRAMES]
+
+
+def test_a_split_without_unique_frames_is_told(tmp_path: Path) -> None:
+    """A mean over it would be nan."""
+    write(tmp_path / "scene.h5", edit=lambda _, arrays: arrays.update({"/frames/quality/unique": False}))
+    assert len(TactileDataset(tmp_path, ("force",))) == FRAMES
+    with pytest.raises(UserError, match="no frame of split 'all' is unique"):
+        TactileDataset(tmp_path, ("force",), unique=True)

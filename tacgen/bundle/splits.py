@@ -31,6 +31,14 @@ def divide(
     return tuple(scenes[i] for i in chosen)
 
 
+def empty_parts(scenes: Sequence[Bundle]) -> list[str]:
+    """A line on the parts that hold no scene, whose scores would be nan; none where every part holds some."""
+    there = assigned(scenes)
+    missing = [part for part in SPLITS if part not in there]
+    text = f"no scene for the split {' and '.join(missing)}, of {len(scenes)}: make more before scores are compared"
+    return [text] if missing else []
+
+
 def assigned(scenes: Sequence[Bundle], fractions: tuple[float, float, float] = FRACTIONS, seed: int = 0) -> list[str]:
     """The part of each scene, as `divide` chooses it: train, val or test. If there are few, a part may have none.
 

@@ -153,7 +153,7 @@ class Trials:
         eye = self.sensor.camera
         shrink = press.picture.shape[1] / eye.width_px
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
-        away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
+        away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1] * press.aspect)
         contact = press.contact or 0.0
         reach = max(REACH / eye.mm_per_px * shrink, AROUND * contact) if press.solved else NEAR * contact
         return np.asarray((away < reach).ravel())

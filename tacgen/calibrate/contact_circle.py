@@ -29,13 +29,14 @@ def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
         return press
     change, given = press.picture.astype(float) - untouched, press.contact
     angles, start, width = 2 * np.pi * np.arange(ANGLES) / ANGLES, np.array([*press.center, given]), WIDTH * given
-    far = np.array(press.center) + BEYOND * given * np.column_stack([np.cos(angles), np.sin(angles)])
+    around = np.column_stack([np.cos(angles), np.sin(angles) / press.aspect])
+    far = np.array(press.center) + BEYOND * given * around
     angles = angles[((far > 0) & (far < untouched.shape[1::-1])).all(axis=1)]
     if len(angles) < ANGLES / 2:
         return press
 
     def loss(circle: Array) -> float:
-        return -bend(change, circle, width, angles)
+        return -bend(change, circle, width, angles, press.aspect)
 
     first = start * [1, 1, min(TRIED, key=lambda share: loss(start * [1, 1, share]))]
     reach = given * np.array([[-AWAY, AWAY], [-AWAY, AWAY], [LEAST - 1, MOST - 1]])
@@ -46,11 +47,12 @@ def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
     return replace(press, center=(float(x), float(y)), contact=float(contact))
 
 
-def bend(change: Array, circle: Array, width: float, angles: Array) -> float:
+def bend(change: Array, circle: Array, width: float, angles: Array, aspect: float = 1.0) -> float:
     """Curvature of a change (H, W, 3) [counts] along the radius at angles (n,) of a circle (x, y, r) [px]: magnitude of
-    the second derivative, averaged over the colours, at the scale of a Gaussian of `width` [px]."""
+    the second derivative, averaged over the colours, at the scale of a Gaussian of `width` [px]; radius and width are
+    in pixel widths, and `aspect` is a pixel's height over that."""
     radii = circle[2] + width * STEPS[:, None]
-    at = [circle[1] + radii * np.sin(angles) - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
+    at = [circle[1] + radii * np.sin(angles) / aspect - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
     seen = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)
     weight = (STEPS**2 - 1) * np.exp(-(STEPS**2) / 2)
     curvature = np.einsum("r,rac->ac", weight - weight.mean(), seen)

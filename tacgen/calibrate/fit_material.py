@@ -16,11 +16,11 @@ from scipy.optimize import least_squares
 from scipy.special import exprel
 from scipy.stats import t as student
 
+from tacgen.calibrate.plausible import off
 from tacgen.calibrate.press_forces import MARGIN, Curves, Measured
 
 Array = np.ndarray
 LEVEL = 0.95  # probability of the confidence intervals
-FLOOR = 0.05  # of the largest force: errors of smaller forces are relative to this
 EVEN = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)  # tried ratios of constant error (over the largest force) to relative error
 USUAL = 0.1  # this ratio if there are too few rows to estimate it
 ROUNDS = 3  # reweighted fits, each with the forces of the one before
@@ -57,9 +57,8 @@ class MaterialFit:
 
     @property
     def off(self) -> Array:
-        """Relative error of the fitted forces (n,); forces below FLOOR of the largest are compared with that."""
-        measured = self.measured.force
-        return np.asarray((self.force - measured) / np.maximum(np.abs(measured), FLOOR * measured.max()))
+        """Relative error of the fitted forces (n,), as of `plausible.off`."""
+        return off(self.force, self.measured.force)
 
     @property
     def worst(self) -> float:

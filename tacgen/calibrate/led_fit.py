@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from tacgen.calibrate.result import digits, write_sensor
+from tacgen.calibrate.plausible import Evidence, SensorFit
+from tacgen.calibrate.result import digits
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
 from tacgen.sensor import yaml_source
-from tacgen.sensor.model import LIGHTS, LitSensor, Sensor
+from tacgen.sensor.model import LIGHTS, LitSensor
 from tacgen.sensor.validation_messages import Issue, report
 from tacgen.sensor.yaml_source import KeyPath
 
@@ -33,15 +34,12 @@ class FitLimits:
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """A fit, and the values of the sensor file that it changes."""
+class Calibrated(SensorFit):
+    """A fit to photographs."""
 
-    path: Path
-    sensor: Sensor  # before the fit
     photographs: str
     untouched: Any  # photograph (H, W, 3), 8 bit
     fitted: "Fitted"
-    changes: dict[KeyPath, Any]
 
     def lines(self) -> Iterator[str]:
         """Report in text."""
@@ -79,12 +77,13 @@ class Calibrated:
         return {"sensor": self.sensor.name, **errors, "unseen": unseen, "determined": dict(fitted.determined),
                 "changes": changes}  # fmt: skip
 
-    def problem(self) -> str:
-        """Why the fit should not be used, in a line; empty where it is better on unseen presses."""
+    def evidence(self) -> Evidence:
+        """The judgement by unseen presses."""
         unseen = self.fitted.unseen
         if unseen is None:
-            return "the fit is not judged: it takes two presses at least"
-        return "" if unseen.better else f"the fit is not better on presses that it has not seen: {unseen}"
+            return Evidence(unseen="the fit is not judged: it takes two presses at least")
+        better = unseen.better
+        return Evidence(unseen="" if better else f"the fit is not better on presses that it has not seen: {unseen}")
 
     def draw(self, out: Path) -> None:
         """Write a figure of the unseen presses: photographed, rendered before and after the fit.
@@ -94,12 +93,8 @@ class Calibrated:
         from tacgen.calibrate import press_figure
 
         if self.fitted.unseen is None:
-            raise UserError(f"--figure: {out}: {self.problem()}")
+            raise UserError(f"--figure: {out}: {self.evidence().unseen}")
         press_figure.draw(cast(LitSensor, self.sensor), self.fitted.unseen, self.untouched, out)
-
-    def write(self, out: Path) -> None:
-        """Write the changed sensor file; comments are kept."""
-        write_sensor(self.path, self.sensor, self.changes, out)
 
 
 def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrated:
@@ -130,7 +125,7 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
 
         fitted = fit_clear.fit(lit, photos, folders, asked)
     said = _said(photos)
-    return Calibrated(path, sensor, said, photos.untouched, fitted, changes_of(lit, fitted, said, bare=asked.bare))
+    return Calibrated(path, sensor, changes_of(lit, fitted, said, bare=asked.bare), said, photos.untouched, fitted)
 
 
 def _said(photos: "Photos") -> str:

@@ -185,7 +185,8 @@ class Comparison:
         self, picture: Array, untouched: Array, face: Surface, center: tuple[float, float], contact: float
     ) -> PictureOfPress:
         slopes = self._slopes(face)
-        where = circle(untouched.shape[:2], center, WITHIN * contact) & np.isfinite(slopes + self._level).all(axis=2)
+        inside = circle(untouched.shape[:2], center, WITHIN * contact, self.sensor.camera.aspect)
+        where = inside & np.isfinite(slopes + self._level).all(axis=2)
         return PictureOfPress(picture.astype(float) - untouched, where, slopes[where], self._level[where])
 
     def _slopes(self, face: Surface) -> Array:
@@ -198,15 +199,16 @@ def learned(seen: Iterable[PictureOfPress]) -> NormalNet:
     return NormalNet.trained([(one.features, one.slopes) for one in seen])
 
 
-def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float) -> Array:
-    """Pixels (H, W) bool whose centres are within a circle [px]."""
+def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float, aspect: float = 1.0) -> Array:
+    """Pixels (H, W) bool whose centres are within a circle, its radius in pixel widths; `aspect`: their height over
+    that."""
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
-    return np.asarray(np.hypot(x - center[0], y - center[1]) < radius)
+    return np.asarray(np.hypot(x - center[0], (y - center[1]) * aspect) < radius)
 
 
 def near(press: PhotographedPress, reach: float) -> Array:
     """Pixels within `reach` contact radii of a press's middle, (H, W) bool."""
-    return circle(press.picture.shape, press.center, reach * (press.contact or 0.0))
+    return circle(press.picture.shape, press.center, reach * (press.contact or 0.0), press.aspect)
 
 
 def _median(values: Array, where: Array) -> Array:

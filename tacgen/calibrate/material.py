@@ -6,7 +6,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacgen.calibrate.result import digits, moduli, write_sensor
+from tacgen.calibrate.plausible import Evidence, SensorFit
+from tacgen.calibrate.result import digits, moduli
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
@@ -39,27 +40,25 @@ class Unknowns:
     second: str = ""  # PATH=LOW:HIGH, a number of the recipe, or under `sensor.` of the sensor file
     terms: int = 0  # number of terms of a Prony series
 
+    @property
+    def path(self) -> str:
+        """The path of the second parameter; empty if none."""
+        return self.second.partition("=")[0].strip()
+
 
 @dataclass(frozen=True)
-class Material:
-    """A fit, simpler fits for comparison, and the values of the sensor file that it changes."""
+class Material(SensorFit):
+    """A fit, and simpler fits for comparison."""
 
-    row: Row
-    path: Path  # of the sensor file
     asked: Unknowns
     fitted: "MaterialFit"
     simpler: "dict[str, MaterialFit]"
-
-    @property
-    def second(self) -> str:
-        """The path of the second parameter; empty if none."""
-        return self.asked.second.partition("=")[0].strip()
 
     def lines(self) -> Iterator[str]:
         """Report in text."""
         measured, worst = self.fitted.measured, 100 * self.fitted.worst
         count, deepest = counted(len(measured.depth), "force"), f"{measured.depth.max():g} mm"
-        yield f"{self.row.sensor.name}: fitted to {count} down to {deepest} ({measured.name})"
+        yield f"{self.sensor.name}: fitted to {count} down to {deepest} ({measured.name})"
         for e in self.fitted.estimates:
             name, unit = self._named(e.name)
             reach = "at the end of its range" if e.bound else f"95 %: {e.low:.4g} to {e.high:.4g}"
@@ -74,7 +73,7 @@ class Material:
             yield f"  {depth:g} mm: {force:.4g} N, fitted {model:.4g} N, {100 * off:+.1f} %"
         for name, fit in self.simpler.items():
             yield f"{name} alone: off by {100 * fit.worst:.1f} % at most, modulus {fit['modulus']:.4g} times the file's"
-        for key, value in self.changes().items():
+        for key, value in self.changes.items():
             if key[-1] != "source":
                 yield f"{format_path(key)}: {value}"
 
@@ -85,15 +84,15 @@ class Material:
             for e in self.fitted.estimates
         }
         return {
-            "sensor": self.row.sensor.name, "estimates": estimates, "force_n": self.fitted.force.tolist(),
+            "sensor": self.sensor.name, "estimates": estimates, "force_n": self.fitted.force.tolist(),
             "off": self.fitted.off.tolist(), "correlation": self.fitted.correlation.tolist(),
             "simpler": {name: {"modulus": fit["modulus"], "worst": fit.worst} for name, fit in self.simpler.items()},
-            "changes": {format_path(path): value for path, value in self.changes().items()},
+            "changes": {format_path(path): value for path, value in self.changes.items()},
         }  # fmt: skip
 
-    def write(self, out: Path) -> None:
-        """Write the sensor file with the new moduli and their source; comments are kept."""
-        write_sensor(self.path, self.row.sensor, self.changes(), out)
+    def evidence(self) -> Evidence:
+        """The forces."""
+        return Evidence(force=(self.fitted.force, self.fitted.measured.force, 1.0))
 
     def draw(self, out: Path) -> None:
         """Plot forces and residuals into `out`."""
@@ -102,33 +101,34 @@ class Material:
         fitted = self.fitted
         fit_figure.draw(fitted.measured.depth, fitted.measured.force, fitted.force, fitted.off, out)
 
-    def changes(self) -> dict[KeyPath, Any]:
-        """Changed values of the sensor file by path."""
-        out: dict[KeyPath, Any] = {}
-        if self.second.startswith("sensor."):
-            out[parse_path(self.second)[1:]] = digits(self.fitted["second"])
-        factor = next(e for e in self.fitted.estimates if e.name == "modulus")
-        count = sum(e.name.startswith("tau") for e in self.fitted.estimates)
-        terms = [(digits(self.fitted[f"g{i}"]), digits(self.fitted[f"tau{i}"])) for i in range(1, count + 1)]
-        series = [{"g": g, "tau_s": tau} for g, tau in terms]
-        shape = self.row.recipe.indenter.shape
-        for k, layer in enumerate(self.row.sensor.gel.layers):
-            here: KeyPath = ("gel", "layers", k)
-            for key in moduli(layer):
-                out[*here, key] = digits(factor.value * out.get((*here, key), getattr(layer, key)))
-            if series and isinstance(layer, IsochoricLayer):
-                out[*here, "prony"] = series
-            reach = f"{factor.low:.3g} to {factor.high:.3g} with 95 %"
-            out[*here, "source"] = (
-                f"{layer.source}; moduli times {factor.value:.4g} ({reach}), fitted to measured forces of a {shape}"
-                f" ({self.fitted.measured.name}) {BY}"
-            )
-        return out
-
     def _named(self, name: str) -> tuple[str, str]:
         """The displayed name of a parameter, and the unit after its value."""
         plain = {"modulus": ("modulus", " times the file's"), "zero": ("zero", " mm: first touch is above the table's")}
-        return plain.get(name) or ((self.second, "") if name == "second" else (name, " s" if name[0] == "t" else ""))
+        second = self.asked.path
+        return plain.get(name) or ((second, "") if name == "second" else (name, " s" if name[0] == "t" else ""))
+
+
+def _changes(row: Row, second: str, fitted: "MaterialFit") -> dict[KeyPath, Any]:
+    """Changed values of the sensor file by path; `second`: the path of the second parameter."""
+    out: dict[KeyPath, Any] = {}
+    if second.startswith("sensor."):
+        out[parse_path(second)[1:]] = digits(fitted["second"])
+    factor = next(e for e in fitted.estimates if e.name == "modulus")
+    count = sum(e.name.startswith("tau") for e in fitted.estimates)
+    terms = [(digits(fitted[f"g{i}"]), digits(fitted[f"tau{i}"])) for i in range(1, count + 1)]
+    series = [{"g": g, "tau_s": tau} for g, tau in terms]
+    for k, layer in enumerate(row.sensor.gel.layers):
+        here: KeyPath = ("gel", "layers", k)
+        for key in moduli(layer):
+            out[*here, key] = digits(factor.value * out.get((*here, key), getattr(layer, key)))
+        if series and isinstance(layer, IsochoricLayer):
+            out[*here, "prony"] = series
+        reach = f"{factor.low:.3g} to {factor.high:.3g} with 95 %"
+        out[*here, "source"] = (
+            f"{layer.source}; moduli times {factor.value:.4g} ({reach}), fitted to measured forces of a"
+            f" {row.recipe.indenter.shape} ({fitted.measured.name}) {BY}"
+        )
+    return out
 
 
 def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = None) -> Material:
@@ -177,7 +177,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
             simpler["modulus"] = fit_material.fit(curves, measured, zero=False, value=now)
     except ValueError as error:
         raise UserError(f"{table}: {error}") from None
-    return Material(rows[0], path, asked, fitted, simpler)
+    return Material(path, rows[0].sensor, _changes(rows[0], asked.path, fitted), asked, fitted, simpler)
 
 
 def _undetermined(fitted: "MaterialFit", second: str) -> Iterator[str]:

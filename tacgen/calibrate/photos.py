@@ -30,9 +30,10 @@ class PhotographedPress:
     picture: Array  # (H, W, 3), 8 bit
     ball: float  # radius [mm]
     center: tuple[float, float]  # of the contact [px]
-    contact: float | None  # radius of the contact [px]
+    contact: float | None  # radius of the contact [px], across
     depth: float | None  # [mm] from first touch
     force: float | None = None  # normal force [N]; a depth, where there is one, goes first
+    aspect: float = 1.0  # height of a pixel over its width
 
     @property
     def solved(self) -> bool:
@@ -125,5 +126,6 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
     if len(wrong) > before:
         return None
     return PhotographedPress(
-        name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"), number.get("force_n")
-    )
+        name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"), number.get("force_n"),
+        camera.aspect,
+    )  # fmt: skip

@@ -47,6 +47,7 @@ class PressPicture:
     change: Array  # with mean 0
     ball: float  # radius [mm]
     recording: int
+    smooth: float  # part of the sum of squares of `change` [counts^2] that light explains which drifts smoothly
 
     @property
     def loud(self) -> float:
@@ -86,10 +87,23 @@ class PressView:
 
     def picture(self, picture: Array, untouched: Array, ball: float, recording: int) -> PressPicture:
         """A photograph (H, W, 3) against the untouched one, at the compared pixels."""
-        width = SMOOTH * self._stride
-        change = gaussian_filter(picture.astype(float) - untouched, (width, width, 0))
-        change = change[np.ix_(*self._pixels)].reshape(-1, 3)
-        return PressPicture(change - change.mean(axis=0), ball, recording)
+        width, some = SMOOTH * self._stride, np.ix_(*self._pixels)
+        change, before = (gaussian_filter(one, (width, width, 0))[some].reshape(-1, 3)
+                          for one in (picture.astype(float) - untouched, untouched.astype(float)))  # fmt: skip
+        change = change - change.mean(axis=0)
+        return PressPicture(change, ball, recording, self._smooth(change, before))
+
+    def _smooth(self, change: Array, untouched: Array) -> float:
+        """The part [counts^2] of a change (p, 3) that a quadratic offset over the picture explains together with a
+        factor on the untouched picture (p, 3) that is linear there: lights that grow brighter or dimmer."""
+        x, y = (self.level / self._half).T
+        linear = np.column_stack([np.ones_like(x), x, y])
+        offset, part = np.column_stack([linear, x**2, x * y, y**2]), 0.0
+        for wanted, plain in zip(change.T, untouched.T, strict=True):
+            table = np.hstack([offset, linear * plain[:, None]])
+            left = wanted - table @ np.linalg.lstsq(table, wanted, rcond=None)[0]
+            part += float((wanted**2).sum() - (left**2).sum())
+        return part
 
     def starts(self, pictures: Sequence[PressPicture]) -> Array:
         """Rough depth, x and y (n, 3) [mm] of presses, from where their pictures change most."""

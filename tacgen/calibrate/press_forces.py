@@ -48,7 +48,7 @@ def read(table: Path) -> Measured:
             if not abs(value) < LARGEST:
                 wrong.append(f"{table}:{line}: {name}: must be a number below {LARGEST:g} (got {row[name]!r})")
             elif name == "time_s" and columns[name] and not value > columns[name][-1]:
-                wrong.append(f"{table}:{line}: time_s: must rise (got {value:g} after {columns[name][-1]:g})")
+                wrong.append(f"{table}:{line}: time_s: must rise (got {value:.15g} after {columns[name][-1]:.15g})")
             elif name == "time_s" and value < 0:
                 wrong.append(f"{table}:{line}: time_s: must be at least 0, first touch (got {value:g})")
             columns[name].append(value)

@@ -1,12 +1,14 @@
 """Calibration of a sensor file to one unit: gel thickness, modulus, zero of the gauge and lights from ball presses."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from tacgen.calibrate import plausible
 from tacgen.calibrate.led_fit import FitLimits, changes_of
-from tacgen.calibrate.result import digits, moduli, write_sensor
+from tacgen.calibrate.plausible import Evidence, SensorFit
+from tacgen.calibrate.result import digits, moduli
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import LIGHTS, LitSensor
@@ -15,7 +17,7 @@ from tacgen.sensor.yaml_source import KeyPath, format_path
 
 if TYPE_CHECKING:
     from tacgen.calibrate.fit_material import Estimate
-    from tacgen.calibrate.fit_unit import Judged, UnitFit
+    from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
     from tacgen.calibrate.result import Fitted
     from tacgen.calibrate.unit_photos import UnitPhotos
 
@@ -43,17 +45,17 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Unit:
-    """A fitted unit, its judgement on presses that fits have not seen, and the values of the sensor file it changes."""
+class Unit(SensorFit):
+    """A fitted unit, and its judgement on presses that fits have not seen."""
 
-    path: Path  # of the sensor file
-    sensor: LitSensor  # before the fit
+    sensor: LitSensor
     photos: "UnitPhotos"
+    gauge: "Gauge"
+    drift: float  # share of the pictures' changes that light explains which drifts, without any dent
     asked: Asked
     fitted: "UnitFit"
     judged: "tuple[Judged, ...]"  # each of some held-out presses
     lights: "Fitted | None"
-    changes: dict[KeyPath, Any]
 
     @property
     def lit(self) -> bool:
@@ -73,7 +75,8 @@ class Unit:
         yield f"{self.sensor.name}: fitted to {self.said}"
         yield from (f"  {line}" for line in self.found())
         yield f"  friction {self.asked.friction:g}: assumed"
-        yield f"pictures: dents of these balls explain {100 * fitted.optics.explained:.0f} % of the change"
+        yield (f"pictures: dents of these balls explain {100 * fitted.optics.explained:.0f} % of the change, light that"
+               f" drifts {100 * self.drift:.0f} %")  # fmt: skip
         readings = [press.force for press in self.photos.presses]
         off = sum(abs(a - b) for a, b in zip(fitted.force, readings, strict=True)) / len(readings)
         yield f"forces that the fit has seen: off by {off:.2f} N in the mean (from 0 to {max(readings):.3g} N)"
@@ -123,7 +126,7 @@ class Unit:
         every = {"thickness_mm": fitted.thickness, "modulus": fitted.modulus, "zero_n": fitted.zero}
         every |= {f"lag_s {self.photos.recordings[k]}": lag for k, lag in fitted.lags.items()}
         return {
-            "sensor": self.sensor.name, "explained": fitted.optics.explained,
+            "sensor": self.sensor.name, "explained": fitted.optics.explained, "drift": self.drift,
             "estimates": {name: {"value": e.value, "low": e.low, "high": e.high} for name, e in every.items()},
             "presses": [{"file": press.name, "force_n": press.force, "fitted_n": float(force), "depth_mm": float(depth)}
                         for press, force, depth in zip(self.photos.presses, fitted.force, fitted.depth, strict=True)],
@@ -133,10 +136,23 @@ class Unit:
             "changes": {format_path(key): value for key, value in self.changes.items()},
         }  # fmt: skip
 
-    def write(self, out: Path) -> None:
-        """Write the changed sensor file: comments are kept, and what was found stands in comments at its head."""
-        lines = [f"Fitted {BY} to {self.said}:", *(f"  {line}" for line in self.found()), *self.unseen()]
-        write_sensor(self.path, self.sensor, self.changes, out, "".join(f"# {line}\n" for line in lines))
+    def head(self) -> Iterator[str]:
+        """Numbers that were found, and how well."""
+        yield f"Fitted {BY} to {self.said}:"
+        yield from (f"  {line}" for line in self.found())
+        yield from self.unseen()
+
+    def evidence(self) -> Evidence:
+        """Forces, pictures, and forces of unseen presses against the mean of the seen ones."""
+        fitted, no_better = self.fitted, ""
+        if self.judged:
+            each = [(one.mae(one.predicted), one.mae(one.floor)) for one in self.judged]
+            error, guess = (sum(part) / len(each) for part in zip(*each, strict=True))
+            if error >= guess:
+                no_better = (f"forces of presses that it has not seen are off by {error:.2f} N, and the mean of the"
+                             f" seen forces by {guess:.2f} N")  # fmt: skip
+        forces = fitted.force, self.gauge.force, self.gauge.doubt
+        return Evidence(forces, (fitted.optics.explained, self.drift), no_better)
 
     def draw(self, out: Path) -> None:
         """Plot fitted over measured forces, seen and unseen, into `out`."""
@@ -161,6 +177,7 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
         UserError: presses that are missing, cannot be used, or do not determine a number, a line each.
     """
     from tacgen.calibrate import unit_fitting, unit_photos
+    from tacgen.calibrate.drift import share
     from tacgen.calibrate.photos import TABLE
 
     asked, path = asked or Asked(), assets.sensor_path(name)
@@ -176,13 +193,14 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
         raise UserError(f"{path}: gel: must be a pad that is clear: the rim of a contact shows on such a gel alone")
     lit, photos = cast(LitSensor, sensor), unit_photos.read(folder, sensor.camera)
     work = unit_fitting.Work.of(lit, photos, asked)
-    raw = work.fitted()
-    if wrong := list(_undetermined(raw, folder / TABLE)):
-        raise UserError(wrong)
+    raw, drift = work.fitted(), share(work.pictures, work.gauge)
+    if wrong := [*work.too_deep(raw), *_undetermined(raw, folder / TABLE)]:
+        no_dents = plausible.no_dents(raw.optics.explained, drift)
+        raise UserError(f"{folder / TABLE}: {no_dents}" if no_dents else wrong)
     fitted = work.corrected(raw)
     judged, lights = work.judged(), work.lights(fitted) if asked.lights else None
-    made = Unit(path, lit, photos, asked, fitted, judged, lights, {})
-    return Unit(path, lit, photos, asked, fitted, judged, lights, _changes(made, work.at_thickness(fitted)))
+    made = Unit(path, lit, {}, photos, work.gauge, drift, asked, fitted, judged, lights)
+    return replace(made, changes=_changes(made, work.at_thickness(fitted)))
 
 
 def _undetermined(fitted: "UnitFit", table: Path) -> Iterator[str]:

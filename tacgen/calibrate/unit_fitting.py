@@ -1,6 +1,6 @@
 """The steps of the calibration of a unit: solved presses, the fit, its judgement by unseen presses, and the lights."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,21 +63,21 @@ class Work:
         return cls(sensor, photos, asked, view, pictures, gauge, tuple(dents))
 
     def fitted(self) -> UnitFit:
-        """The fit to all presses. Raises UserError: too few presses, or one that is deeper than what is solved."""
+        """The fit to all presses. Raises UserError: too few presses."""
         try:
-            found = fit_unit.fit(
+            return fit_unit.fit(
                 fit_unit.optics(self.view, self.pictures, self.dents), self.pictures, self.dents, self.gauge
             )
         except ValueError as error:
             raise UserError(f"{self.photos.folder / TABLE}: {error}") from None
+
+    def too_deep(self, found: UnitFit) -> Iterator[str]:
+        """A line on each press that is deeper than what is solved."""
         k = found.optics.between(found.optics.best)[0]
         for press, picture, depth in zip(self.photos.presses, self.pictures, found.depth, strict=True):
             if depth > DEEP * (deepest := self.dents[k][picture.ball].depth[-1]):
-                raise UserError(
-                    f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
-                    f" gel of {found.thickness.value:.3g} mm is solved for: leave it out"
-                )
-        return found
+                yield (f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
+                       f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
 
     def corrected(self, found: UnitFit) -> UnitFit:
         """The fit less the error that the method makes on rendered pictures of the same presses."""
@@ -134,7 +134,6 @@ class Work:
             center = camera.project([[x, y, -depth]])[0]
             contact = self.dents[best][press.ball].contact_at(depth) / camera.mm_per_px
             shown = np.clip(first + (press.picture.astype(float) - press.untouched), 0, 255).astype(np.uint8)
-            out.append(
-                PhotographedPress(press.name, shown, press.ball, (float(center[0]), float(center[1])), contact, depth)
-            )
+            at, ball = (float(center[0]), float(center[1])), press.ball
+            out.append(PhotographedPress(press.name, shown, ball, at, contact, depth, aspect=camera.aspect))
         return tuple(out)

@@ -100,6 +100,6 @@ def _problems(folder: Path, presses: list[UnitPress]) -> list[str]:
     seen: set[tuple[str, float]] = set()
     for press in presses:
         if (press.recording, press.time) in seen:
-            wrong.append(f"{table}: {press.name}: time_s: {press.time:g} is there twice in {press.recording}")
+            wrong.append(f"{table}: {press.name}: time_s: {press.time:.15g} is there twice in {press.recording}")
         seen |= {(press.recording, press.time)} if np.isfinite(press.time) else set()
     return wrong

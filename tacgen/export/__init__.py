@@ -38,6 +38,9 @@ EXPORTERS = {
 }
 
 
+DIVIDED = ("lerobot", "sparsh", "feelanyforce", "zarr", "webdataset")  # into train, val and test
+
+
 def bundles(source: Path, *, merge: bool = False) -> "list[Bundle]":
     """The finished bundle `source`, or all of a data set, in order, without rejected scenes; `merge` as of `scenes`.
 
@@ -60,6 +63,7 @@ def export(
     merge: bool = False,
     overwrite: bool = False,
     card: "Callable[[Sequence[Bundle], Path], str] | None" = None,
+    tell: "Callable[[Sequence[str]], None] | None" = None,
 ) -> list[Path]:
     """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
 
@@ -69,6 +73,7 @@ def export(
         merge: `source` may hold several data sets, which become one.
         overwrite: `out`, if it is a file, may exist.
         card: makes the text of README.md in the place of that card, from the bundles and the folder that is written.
+        tell: takes warnings, such as of a split without scenes.
 
     Raises:
         UserError: an unknown format, nothing to export, a damaged bundle, or one without the datasets that the
@@ -80,6 +85,8 @@ def export(
         from tacgen.sensor.validation_messages import suggest
 
         raise UserError(f"{kind}: unknown format{suggest(kind, EXPORTERS)}; there are: {', '.join(EXPORTERS)}")
+    from tacgen.bundle.splits import empty_parts
+
     sources = bundles(source, merge=merge)
     for bundle in sources:
         bundle.verify()
@@ -96,6 +103,8 @@ def export(
         if page:
             output_file.add(folder / CARDS[0], page)
             made.append(Path(CARDS[0]))
+    if tell and kind in DIVIDED:
+        tell(empty_parts(sources))
     return [out / path for path in made]
 
 

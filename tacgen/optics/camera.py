@@ -49,11 +49,12 @@ class PinholeCamera:
 
     stack: Stack
     center: tuple[float, float]  # x, y [mm]
-    focal_px: float  # pixels per unit slope in air
+    focal_px: float  # pixel widths per unit slope in air
     shape: tuple[int, int]  # H, W [px]
     crop_px: tuple[float, float] = (0.0, 0.0)  # from the optical axis to the picture's middle, x and y
     tilt: tuple[float, float] = (0.0, 0.0)  # of the optical axis, toward +x and toward +y [rad]
     roll: float = 0.0  # about it, from x to y [rad]
+    aspect: float = 1.0  # height of a pixel over its width
 
     @classmethod
     def from_sensor(cls, sensor: "Sensor") -> "PinholeCamera":
@@ -68,10 +69,10 @@ class PinholeCamera:
         thicknesses[-1] += sum(layer.thickness_mm for layer in opaque)
         stack = Stack((eye.distance_mm, *thicknesses), (1.0, *(slab.refractive_index for slab in clear)))
         shape, (x, y), (right, down) = (eye.height_px, eye.width_px), eye.crop_mm, np.radians(eye.tilt_deg)
-        return cls(
-            stack, eye.center_mm, stack.effective_depth / eye.mm_per_px, shape,
-            (x / eye.mm_per_px, y / eye.mm_per_px), (float(right), float(down)), float(np.radians(eye.roll_deg)),
-        )  # fmt: skip
+        (wide, tall), roll = eye.pixel_mm, float(np.radians(eye.roll_deg))
+        tilt = float(right), float(down)
+        return cls(stack, eye.center_mm, stack.effective_depth / wide, shape, (x / wide, y / tall), tilt, roll,
+                   eye.aspect)  # fmt: skip
 
     @property
     def pinhole(self) -> tuple[float, float, float]:
@@ -80,8 +81,13 @@ class PinholeCamera:
 
     @property
     def mm_per_px(self) -> float:
-        """Scale on the untouched face where an axis that is not tilted meets it [mm/px]."""
+        """Width of a pixel on the untouched face where an axis that is not tilted meets it [mm/px]."""
         return self.stack.effective_depth / self.focal_px
+
+    @property
+    def focal(self) -> "Floats":
+        """Pixels per unit slope in air, across and down (2,)."""
+        return np.array([self.focal_px, self.focal_px / self.aspect])
 
     @property
     def turn(self) -> "Floats":
@@ -93,7 +99,7 @@ class PinholeCamera:
 
     def slopes(self, pixels: "Floats") -> "Floats":
         """Slopes in air, dx/dz and dy/dz (n, 2), of the rays through pixels (n, 2)."""
-        own = np.column_stack([(pixels - self.axis) / self.focal_px, np.ones(len(pixels))])
+        own = np.column_stack([(pixels - self.axis) / self.focal, np.ones(len(pixels))])
         ray = own @ self.turn.T
         return np.asarray(ray[:, :2] / ray[:, 2:])
 
@@ -105,7 +111,7 @@ class PinholeCamera:
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         stack = np.array(self.stack.thicknesses), np.array(self.stack.indices)
-        pixels = _project(points, *self.center, *stack, self.turn, self.focal_px, self.axis)
+        pixels = _project(points, *self.center, *stack, self.turn, self.focal, self.axis)
         if np.isnan(pixels).any():
             raise ValueError("a point lies at or behind the camera's pinhole")
         return np.asarray(pixels)
@@ -133,7 +139,7 @@ class PinholeCamera:
 
 @njit(cache=True, error_model="numpy")
 def _project(
-    points: "Floats", x: float, y: float, thicknesses: "Floats", indices: "Floats", turn: "Floats", focal: float,
+    points: "Floats", x: float, y: float, thicknesses: "Floats", indices: "Floats", turn: "Floats", focal: "Floats",
     axis: "Floats",
 ) -> "Floats":  # fmt: skip
     """Pixels (n, 2) of points (n, 3) through a pinhole at x, y; nan of one at or behind it."""
@@ -149,7 +155,7 @@ def _project(
             sx, sy = (some[j, 0] - x) * ratio, (some[j, 1] - y) * ratio
             down = sx * turn[0, 2] + sy * turn[1, 2] + turn[2, 2]
             for k in range(2):
-                pixel = focal * (sx * turn[0, k] + sy * turn[1, k] + turn[2, k]) / down + axis[k]
+                pixel = focal[k] * (sx * turn[0, k] + sy * turn[1, k] + turn[2, k]) / down + axis[k]
                 out[start + j, k] = pixel if slope[j] >= 0.0 else np.nan
     return out
 

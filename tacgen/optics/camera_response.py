@@ -23,13 +23,15 @@ QUANTILES = 1 << 16  # of the normal distribution, from which noise is drawn
 def vignette(camera: "Camera") -> "Floats":
     """Fall-off (H, W, 3) toward the corners, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched
     coating."""
-    size = camera.width_px, camera.height_px, camera.mm_per_px
+    size = camera.width_px, camera.height_px, camera.pixel_mm
     return _fall_off(*size, *camera.crop_mm, camera.vignette_mm or (np.inf,) * 3)
 
 
 @lru_cache(maxsize=4)
-def _fall_off(w: int, h: int, scale: float, right: float, down: float, radii: tuple[float, ...]) -> "Floats":
-    x, y = (np.arange(w) + 0.5 - w / 2) * scale + right, (np.arange(h) + 0.5 - h / 2) * scale + down
+def _fall_off(
+    w: int, h: int, pixel: tuple[float, float], right: float, down: float, radii: tuple[float, ...]
+) -> "Floats":
+    x, y = (np.arange(w) + 0.5 - w / 2) * pixel[0] + right, (np.arange(h) + 0.5 - h / 2) * pixel[1] + down
     r2 = x**2 + y[:, None] ** 2
     fall = 1.0 / (1.0 + r2[..., None] / np.square(radii)) ** 2
     fall.flags.writeable = False  # shared by the frames of a scene
@@ -43,7 +45,8 @@ def colours(camera: "Camera") -> "Floats":
 
 def blurred(radiance: "Floats", camera: "Camera") -> "Floats":
     """A radiance picture (H, W, 3) out of focus: the image of a point is a Gaussian of standard deviation blur_mm."""
-    return blur(radiance, camera.blur_mm / camera.mm_per_px) if camera.blur_mm else radiance
+    wide, tall = camera.pixel_mm
+    return blur(radiance, camera.blur_mm / tall, across=camera.blur_mm / wide) if camera.blur_mm else radiance
 
 
 def encoded(light: "Floats", camera: "Camera") -> "Floats":

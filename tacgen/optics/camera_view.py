@@ -108,7 +108,8 @@ class CameraView:
         """Share of marker paint (samples, 1); 0 where there is no gel."""
         if self.markers is None:
             return np.zeros((self.shape[0] * self.shape[1], 1))
-        fade = self.sensor.camera.mm_per_px / self.samples
+        eye = self.sensor.camera
+        fade = eye.mm_per_px * eye.aspect**0.5 / self.samples
         return coating.paint(self.markers, at.rest, fade)[:, np.newaxis]
 
     def picture(self, samples: "Floats") -> "Floats":

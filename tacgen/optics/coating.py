@@ -51,14 +51,14 @@ def centers(markers: "Markers") -> "Floats":
     """Rest positions of the dots on the coated face [mm], (dots, 2), row by row from the top left."""
     across, down = markers.spacing_mm
     last = (len(markers.row_counts) - 1) / 2
-    rows = enumerate(markers.row_counts)
-    return np.array([((i - (n - 1) / 2) * across, (row - last) * down) for row, n in rows for i in range(n)])
+    rows, middle = enumerate(markers.row_counts), markers.middle_mm
+    return np.array([((i - (n - 1) / 2) * across, (row - last) * down) for row, n in rows for i in range(n)]) + middle
 
 
 def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
     """Share of paint, 0 to 1, at rest positions xy (..., 2) [mm], 0 where they are nan; `edge` [mm] is the width of the
     blurred rim."""
-    flat = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
+    flat = np.asarray(xy, dtype=np.float64).reshape(-1, 2) - markers.middle_mm
     counts = np.array(markers.row_counts)
     return painted(flat, counts, *markers.spacing_mm, markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])
 
@@ -67,7 +67,7 @@ def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
 def painted(
     xy: "Floats", counts: "NDArray[np.int64]", across: float, down: float, radius: float, edge: float
 ) -> "Floats":
-    """Share of paint at xy (n, 2) [mm], of rows of `counts` dots; across, down: spacing in and between rows [mm]."""
+    """Share of paint at xy (n, 2) [mm], of rows of `counts` dots about 0; across, down: their spacing [mm]."""
     out, last, rows = np.zeros(len(xy)), (len(counts) - 1) / 2, 1 / down
     reach = (radius + edge / 2) * rows
     for i in range(len(xy)):

@@ -42,7 +42,8 @@ class BallDent:
         face: Surface | None = None,
         bend: float = 0.0,
     ) -> "BallDent":
-        """The dent whose contact circle a photograph shows at `center_px` with radius `contact_px` [px].
+        """The dent whose contact circle a photograph shows at `center_px` with radius `contact_px` [widths of a
+        pixel].
 
         `face` is the untouched one, a plane at z = 0 if None, and `bend` its mean curvature [1/mm].
         """
@@ -51,7 +52,7 @@ class BallDent:
         contact, center = contact_px * camera.mm_per_px, np.zeros(2)
         for _ in range(5):  # the circle lies below the untouched face, where everything looks larger
             plane = face.at(center[None])[0, 2] - cls(radius, min(contact, SHALLOW * radius), thickness=gel).rim
-            around = contact_px * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
+            around = contact_px * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]]) / [1, camera.aspect]
             origin, direction = camera.rays(around + center_px)
             hit = (origin + direction * ((plane - origin[:, 2]) / direction[:, 2])[:, None])[:, :2]
             contact, center = float(np.linalg.norm(hit - hit.mean(axis=0), axis=1).mean()), hit.mean(axis=0)

@@ -198,9 +198,10 @@ def gains(response: "ThicknessResponse", change: "Floats", mm_per_px: float) -> 
     return spread(tabulated(response).at(change.ravel()).reshape(*change.shape, 3), response.spread_mm / mm_per_px)
 
 
-def spread(gain: "Floats", reach: float) -> "Floats":
-    """A picture of gains (h, w, k) averaged by a Gaussian of standard deviation `reach` [px]."""
-    return blur(gain, reach, truncate=3.0) if reach else gain
+def spread(gain: "Floats", reach: float, across: float | None = None) -> "Floats":
+    """A picture of gains (h, w, k) averaged by a Gaussian of standard deviation `reach` [px], and `across` if that is
+    another one."""
+    return blur(gain, reach, 3.0, across) if reach else gain
 
 
 def gain(response: "ThicknessResponse", change: "Floats") -> "Floats":

@@ -24,7 +24,7 @@ def _frame(frame: FrameData) -> Datasets:
             variance[name] += (unsure.deviation / unsure.step * (there[name] - here[name])) ** 2
     variance |= {name: frame.shares.picture(variance[name]) for name in names}
     if scene.coarser is not None:
-        coarse, window = next(scene.coarser), round(2 * scene.problem.edge / scene.sensor.camera.mm_per_px)
+        coarse, window = next(scene.coarser), round(2 * scene.problem.edge / min(scene.sensor.camera.pixel_mm))
         variance["force"] += mesh_variance(force, coarse.state.traction_force.sum((0, 1)), window)
         for key in names:
             variance[key] += mesh_variance(getattr(frame.maps, key), getattr(coarse.maps, key), max(window, 1))

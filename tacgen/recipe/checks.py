@@ -121,6 +121,9 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Issue]:
             f"cannot be table, whose light follows the face's slope: the gel of {sensor.name} scatters; take transport"
         )
         wrong.append(Issue(("render", "method"), text))
+    if images and recipe.render.method != "transport" and sensor.camera.aspect != 1:
+        text = f"must be transport: the pixels of {sensor.name} are not square (camera.pixel_aspect)"
+        wrong.append(Issue(("render", "method"), text))
     if recipe.markers.method == "analytic" and (sensor.markers is None or sensor.markers.motion is None):
         text = f"cannot be analytic: the sensor file {sensor.name} holds no markers.motion: take fem"
         wrong.append(Issue(("markers", "method"), text))
@@ -131,10 +134,10 @@ def _on_gel(sensor: Sensor) -> bool:
     """Whether both ends of each row of markers lie on the pad, and so all of it."""
     if (dots := sensor.markers) is None:
         return True
-    across, down = dots.spacing_mm
+    (across, down), (right, below) = dots.spacing_mm, dots.middle_mm
     middle = (len(dots.row_counts) - 1) / 2
-    ends = [((n - 1) / 2 * across, (row - middle) * down) for row, n in enumerate(dots.row_counts)]
-    return all(trajectory_checks.on_pad(sensor.gel, side * x, y) for x, y in ends for side in (-1, 1))
+    ends = [((n - 1) / 2 * across, (row - middle) * down + below) for row, n in enumerate(dots.row_counts)]
+    return all(trajectory_checks.on_pad(sensor.gel, right + side * x, y) for x, y in ends for side in (-1, 1))
 
 
 def _too_coarse(recipe: Recipe, gel: Gel) -> list[Issue]:

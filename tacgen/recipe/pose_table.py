@@ -181,7 +181,7 @@ def _row(line: int, cells: list[str], where: dict[str, int], scale: float, befor
         if math.isnan(number) and column not in FORCE:
             raise ValueError(f"{column} must be a number (got {cells[where[column]]!r})")
     if before is not None and value["time"] <= before[1]:
-        raise ValueError(f"time must increase (got {value['time']:g} after {before[1]:g}): sort the rows")
+        raise ValueError(f"time must increase (got {value['time']:.15g} after {before[1]:.15g}): sort the rows")
     body, sensor, force = (tuple(value[c] for c in group if c in value) for group in (BODY, SENSOR, FORCE))
 
     def placed(pose: tuple[float, ...]) -> Placed:

@@ -200,9 +200,9 @@ class Renderer:
             made = made * self._view.picture(factor[:, None])
         if self.sensor.thickness_response is not None:
             change = at.position[:, 2] - self._height(at.position[:, :2])
-            response, pixel = self.sensor.thickness_response, self.sensor.camera.mm_per_px
+            response, (wide, tall) = self.sensor.thickness_response, self.sensor.camera.pixel_mm
             gain = self._view.picture(scattering.tabulated(response).at(change))
-            made *= scattering.spread(gain, response.spread_mm / pixel)
+            made *= scattering.spread(gain, response.spread_mm / tall, response.spread_mm / wide)
         return camera_response.blurred(made, self.sensor.camera).astype(np.float32)
 
     def _height(self, xy: "Floats") -> "Floats":

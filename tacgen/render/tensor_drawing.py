@@ -10,9 +10,10 @@ if TYPE_CHECKING:
 
 
 def drawable(renderer: Renderer) -> bool:
-    """Whether a GPU can draw what a renderer does: clear gels, with one ray a pixel and nothing fitted beyond them."""
-    light, fitted = renderer.light, renderer.sensor.thickness_response
-    return isinstance(light, Clear) and light.direct.view.samples == 1 and fitted is None
+    """Whether a GPU can draw what a renderer does: clear gels, one ray a pixel, square ones, no fitted response."""
+    light, sensor = renderer.light, renderer.sensor
+    plain = sensor.thickness_response is None and sensor.camera.aspect == 1
+    return isinstance(light, Clear) and light.direct.view.samples == 1 and plain
 
 
 @lru_cache(maxsize=2)  # as many as pictures keep renderers

@@ -108,10 +108,11 @@ def around(there: "NDArray[np.bool_]", margin: int) -> Window:
 
 
 def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":
-    """The sensor with a coarser camera of the same field of view."""
+    """The sensor with a coarser camera of the same field of view, with square pixels."""
     eye = sensor.camera
     scale = eye.width_px / columns
-    size = {"width_px": columns, "height_px": max(1, round(eye.height_px / scale)), "mm_per_px": eye.mm_per_px * scale}
+    rows = max(1, round(eye.height_px * eye.aspect / scale))
+    size = {"width_px": columns, "height_px": rows, "mm_per_px": eye.mm_per_px * scale, "pixel_aspect": None}
     return sensor.model_copy(update={"camera": eye.model_copy(update=size)})
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import output_file
+from tacgen import csv_table, output_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import Placement
@@ -102,9 +102,10 @@ def table(found: Sequence[Compared]) -> str:
         nothing = np.full((len(one.ours), 3), np.nan)
         std, theirs = (nothing if part is None else part for part in (one.std, one.theirs))
         numbers = np.hstack([one.ours, std, theirs, theirs - one.ours, one.torque])
+        time = csv_table.numerals(one.log.time.tolist(), 9)
         for k, values in enumerate(numbers.tolist()):
             cells = ["" if value != value else f"{value:.6g}" for value in values]  # nan: not known
-            lines.writerow([one.log.name, one.scene, k, int(one.log.row[k]), f"{one.log.time[k]:.9g}", *cells])
+            lines.writerow([one.log.name, one.scene, k, int(one.log.row[k]), time[k], *cells])
     return out.getvalue()
 
 
@@ -160,11 +161,12 @@ def _with(value: float, std: float | None) -> str:
 
 def _frames(one: Compared) -> list[str]:
     rows = [["row", "time [s]", "tacgen", "+-", "simulator", "error"]]
+    time = csv_table.numerals(one.log.time.tolist(), 6)
     for k in range(0, len(one.ours), -(-len(one.ours) // ROWS)):
         theirs = None if one.theirs is None else one.theirs[k]
         parts = (one.ours[k], None if one.std is None else one.std[k], theirs)
         error = None if theirs is None else theirs - one.ours[k]
-        rows.append([str(one.log.row[k]), f"{one.log.time[k]:.6g}", *map(_vector, (*parts, error))])
+        rows.append([str(one.log.row[k]), time[k], *map(_vector, (*parts, error))])
     return _aligned(rows)
 
 

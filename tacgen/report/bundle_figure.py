@@ -150,15 +150,16 @@ class Scale(NamedTuple):
     """Scale of the image on the untouched face: its centre (x, y) and the size of a pixel, both in `unit`."""
 
     centre: tuple[float, float]
-    per_px: float
+    per_px: tuple[float, float]  # across, down
     unit: str
 
     def ticks(self, low: float, high: float, length: int, axis: int) -> tuple[list[float], list[str]]:
         """Positions [px] and labels of ticks at round numbers between two pixels of axis 0 (x) or 1 of `length` px."""
-        zero = length / 2 - self.centre[axis] / self.per_px
-        low, high = sorted(((low - zero) * self.per_px, (high - zero) * self.per_px))
+        size = self.per_px[axis]
+        zero = length / 2 - self.centre[axis] / size
+        low, high = sorted(((low - zero) * size, (high - zero) * size))
         values = round_ticks(low, high, 7)
-        return [v / self.per_px + zero for v in values], [f"{v:g}".replace("-", "\N{MINUS SIGN}") for v in values]
+        return [v / size + zero for v in values], [f"{v:g}".replace("-", "\N{MINUS SIGN}") for v in values]
 
 
 def scale_of(bundle: Bundle) -> Scale:
@@ -167,9 +168,9 @@ def scale_of(bundle: Bundle) -> Scale:
         camera = bundle.sensor.camera
     except UserError:
         height, width = image_size(bundle)
-        return Scale((width / 2, height / 2), 1.0, "px")
+        return Scale((width / 2, height / 2), (1.0, 1.0), "px")
     (x, y), crop = camera.center_mm, camera.crop_mm
-    return Scale((x + crop[0], y + crop[1]), camera.mm_per_px, "mm")
+    return Scale((x + crop[0], y + crop[1]), camera.pixel_mm, "mm")
 
 
 Window = tuple[float, float, float, float]

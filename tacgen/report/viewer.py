@@ -147,7 +147,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
     frames, segments = shown(bundle), bundle.segments
     scale, (height, width) = scale_of(bundle), image_size(bundle)
     error = force_error(bundle)
-    left, top = (scale.centre[k] - size / 2 * scale.per_px for k, size in enumerate((width, height)))
+    left, top = (scale.centre[k] - size / 2 * scale.per_px[k] for k, size in enumerate((width, height)))
     return {
         "name": _name(bundle),
         "about": f"{indenter_text(bundle)}, on {sensor_text(bundle)}",
@@ -158,7 +158,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
         "force": _numbers(bundle["/frames/force"][frames]) if "/frames/force" in bundle else None,
         "error": error and [error.text(k) for k in frames],
         "errorKind": error.kind if error else "",
-        "box": [left, top, left + width * scale.per_px, top + height * scale.per_px],
+        "box": [left, top, left + width * scale.per_px[0], top + height * scale.per_px[1]],
         "unit": scale.unit,
     }
 

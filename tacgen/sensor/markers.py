@@ -23,12 +23,14 @@ class Motion(Part):
 
 
 class MarkersBase(Part):
-    """Markers: dots printed on the coating, in rows along x that are centred on the pad."""
+    """Markers: dots printed on the coating, in rows along x."""
 
     diameter_mm: Positive
     """Diameter of a dot."""
     albedo: Fraction
     """Diffuse reflectance of a dot."""
+    offset_mm: Vec2 | None = None
+    """From the pad's middle to the lattice's, along x and y; none if absent."""
     motion: Motion | None = None
     """Constants of the analytic motion; without them `markers: {method: analytic}` is refused."""
     source: str = NOWHERE
@@ -37,6 +39,11 @@ class MarkersBase(Part):
     def count(self) -> int:
         """Number of dots."""
         raise NotImplementedError
+
+    @property
+    def middle_mm(self) -> Vec2:
+        """The lattice's middle on the coating."""
+        return self.offset_mm or (0.0, 0.0)
 
     @model_validator(mode="after")
     def _few(self) -> Self:

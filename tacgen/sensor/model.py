@@ -232,7 +232,9 @@ class Camera(Part):
     crop_mm: Vec2 = (0.0, 0.0)
     """Offset of the picture's centre from the optical axis, measured on the coating."""
     mm_per_px: Positive
-    """Size of a pixel on the untouched coating, at the optical axis."""
+    """Size of a pixel on the untouched coating, at the optical axis; its width, if it is not square."""
+    pixel_aspect: Annotated[float, Field(ge=0.5, le=2)] | None = None
+    """Height of a pixel on the coating over its width; square if absent."""
     width_px: Pixels
     """Width of the picture."""
     height_px: Pixels
@@ -256,6 +258,16 @@ class Camera(Part):
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     """Pictures are compressed as JPEG of this quality, as in a camera that streams MJPEG; not if absent."""
     source: str = NOWHERE
+
+    @property
+    def aspect(self) -> float:
+        """Height of a pixel over its width."""
+        return self.pixel_aspect or 1.0
+
+    @property
+    def pixel_mm(self) -> Vec2:
+        """Width and height of a pixel on the untouched coating."""
+        return self.mm_per_px, self.mm_per_px * self.aspect
 
 
 class ThicknessResponse(Part):

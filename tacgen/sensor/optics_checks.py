@@ -61,6 +61,9 @@ def _layers(sensor: LitSensor) -> Iterator[Issue]:
     for key in ("grain", "marks", "wear") if scattering else ():
         if getattr(sensor.coating, key) is not None:
             yield Issue(("coating", key), "cannot be seen through a layer that scatters: leave it out", at_key=True)
+    if scattering and sensor.camera.aspect != 1:
+        text = "must be absent where a layer scatters: resize the pictures to square pixels"
+        yield Issue(("camera", "pixel_aspect"), text)
     if scattering and sensor.markers:
         text = "cannot be seen through a layer that scatters: leave them out, or scattering"
         yield Issue(("markers",), text, at_key=True)
@@ -70,8 +73,8 @@ def _steepest(sensor: LitSensor) -> float:
     """Largest angle of a ray to the plate's normal [deg]: that of the picture's corner, plus the tilt."""
     eye, layers = sensor.camera, (sensor.plate, *sensor.gel.clear_layers)
     depth = eye.distance_mm + sum(layer.thickness_mm / layer.refractive_index for layer in layers)
-    sizes = zip((eye.width_px, eye.height_px), eye.crop_mm, strict=True)
-    corner = math.hypot(*(size * eye.mm_per_px / 2 + abs(crop) for size, crop in sizes))
+    sizes = zip((eye.width_px, eye.height_px), eye.pixel_mm, eye.crop_mm, strict=True)
+    corner = math.hypot(*(size * pixel / 2 + abs(crop) for size, pixel, crop in sizes))
     return math.degrees(math.atan2(corner, depth)) + math.hypot(*eye.tilt_deg)
 
 
@@ -82,9 +85,10 @@ def _dots(sensor: LitSensor) -> Iterator[Issue]:
     keys = ("rings", "rings") if dots.layout == "hexagonal" else ("columns", "rows")
     counts = max(dots.row_counts), len(dots.row_counts)
     sides = gel.width_mm, gel.height_mm
-    for key, count, spacing, side in zip(keys, counts, dots.spacing_mm, sides, strict=True):
-        if (count - 1) * spacing > side:
-            text = f"{count} dots, {spacing:g} mm apart, do not fit on {side:g} mm of gel: fewer, or closer ones"
+    for key, count, spacing, side, middle in zip(keys, counts, dots.spacing_mm, sides, dots.middle_mm, strict=True):
+        if (count - 1) * spacing + 2 * abs(middle) > side:
+            aside = f" and {middle:g} mm off its middle" if middle else ""
+            text = f"{count} dots, {spacing:g} mm apart, do not fit on {side:g} mm of gel{aside}: fewer, or closer ones"
             yield Issue(("markers", key), text)
 
 

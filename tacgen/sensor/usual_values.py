@@ -29,10 +29,11 @@ def warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
 def _beside(sensor: Sensor) -> Iterator[Issue]:
     """A problem where the camera's field of view ends beside the pad: mm_per_px may be wrong, or meant so."""
     gel, camera = sensor.gel, sensor.camera
-    view = camera.width_px * camera.mm_per_px, camera.height_px * camera.mm_per_px
+    pixel = camera.pixel_mm
+    view = camera.width_px * pixel[0], camera.height_px * pixel[1]
     middle = (camera.center_mm[k] + camera.crop_mm[k] for k in (0, 1))
     sides = gel.width_mm, gel.height_mm
-    if any(abs(m) + v / 2 > s / 2 + camera.mm_per_px for m, v, s in zip(middle, view, sides, strict=True)):
+    if any(abs(m) + v / 2 > s / 2 + p for m, v, s, p in zip(middle, view, sides, pixel, strict=True)):
         text = (
             f"the picture shows {view[0]:.3g} x {view[1]:.3g} mm, which is not all on the pad of {sides[0]:g} x"
             f" {sides[1]:g} mm: pixels beside it have no labels"

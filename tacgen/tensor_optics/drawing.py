@@ -80,6 +80,7 @@ class Drawing:
         (height, width), frames, (rows, columns) = self._shape, len(nodes), self._sheet.shape
         terrains, eye, dots = faces.terrains, self._sensor.camera, self._markers
         across, down, radius = (1.0, 1.0, 1.0) if dots is None else (*dots.spacing_mm, dots.diameter_mm / 2)
+        middle = (0.0, 0.0) if dots is None else dots.middle_mm
         glossy = self._sensor.coating.specular > 0.0
         out = torch.empty((frames, height, width, 3), dtype=SINGLE, device=self._device)
         gpu_light.light[triton.cdiv(height * width, gpu_light.SAMPLES), frames](
@@ -91,7 +92,7 @@ class Drawing:
             *terrains.small.shape[1:], *terrains.large.shape[1:], *map(float, self._sheet.size),
             *self._table.shape[:3], self._lamps, float(self._mirror), float(self._sensor.coating.roughness),
             STEEP, 1.5 * TILT, len(self._dots), math.floor(2 * (radius + eye.mm_per_px / 2) / down) + 1,
-            float(across), float(down), float(radius), float(eye.mm_per_px), *self._texture.shape,
+            float(across), float(down), float(radius), float(eye.mm_per_px), *map(float, middle), *self._texture.shape,
             glossy, 0 if dots is None else 2 if glossy else 1, self._woven, SMALL, LARGE, gpu_light.SAMPLES,
             num_warps=1,
         )  # fmt: skip

@@ -166,7 +166,7 @@ def light(
     CORNER, MATT, GLOSS, GLOW, LEVEL, DOTS, COLOURS, TEXTURE, OUT,
     samples, width, nodes, rows, columns, small_rows, small_columns, large_rows, large_columns, wide, tall,
     heights, places_down, places_across, lamps, mirror, alpha, steepest, most_turn,
-    dot_rows, dots_reaching, dot_across, dot_down, dot_radius, dot_edge, texture_rows, texture_columns,
+    dot_rows, dots_reaching, dot_across, dot_down, dot_radius, dot_edge, dot_x, dot_y, texture_rows, texture_columns,
     GLOSSY: tl.constexpr, PAINT: tl.constexpr, WOVEN: tl.constexpr,
     SMALL_CELLS: tl.constexpr, LARGE_CELLS: tl.constexpr, SAMPLES: tl.constexpr,
 ):  # fmt: skip
@@ -258,7 +258,8 @@ def light(
     rx = t * tl.load(REST + 2 * k1) + v * tl.load(REST + 2 * k2) + w * tl.load(REST + 2 * k3)
     ry = t * tl.load(REST + 2 * k1 + 1) + v * tl.load(REST + 2 * k2 + 1) + w * tl.load(REST + 2 * k3 + 1)
     if PAINT:
-        paint = _painted(rx, ry, DOTS, dot_rows, dots_reaching, dot_across, dot_down, dot_radius, dot_edge, there)
+        x_off, y_off = rx - dot_x, ry - dot_y  # from the lattice's middle
+        paint = _painted(x_off, y_off, DOTS, dot_rows, dots_reaching, dot_across, dot_down, dot_radius, dot_edge, there)
         paint = tl.where(there, paint, 0.0)
     if WOVEN:
         factor = _woven(rx, ry, TEXTURE, texture_rows, texture_columns, wide, tall, there)

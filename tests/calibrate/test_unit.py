@@ -40,10 +40,10 @@ def unit() -> LitSensor:
     return cast(LitSensor, sensor(camera=FINE, markers=None))
 
 
-def formula(one: LitSensor, ball: float, at: Any = None, widest: float = 0.0, *_: Any) -> Dents:
+def formula(one: LitSensor, ball: float, at: Any = None, widest: float = 0.0, *_: Any, deepest: float = 1.6) -> Dents:
     """Presses by a formula whose face and force depend on the thickness as those of solved ones do: the face falls
     steeper and bulges more around the contact of a thin gel."""
-    thick, depth = one.gel.thickness_mm, np.geomspace(0.02, 1.6, 9)
+    thick, depth = one.gel.thickness_mm, np.geomspace(0.02, deepest, 9)
     inside, slope = 1.2, np.zeros((9, len(SCALED)))
     for k, d in enumerate(depth):
         away = (SCALED - inside) * np.sqrt(ball * d) / thick

@@ -1,6 +1,7 @@
 """Bundles in the formats of other tools, read back by those tools where they are installed."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -9,6 +10,7 @@ from helpers.synthetic import write
 from typer.testing import CliRunner
 
 from tacgen import cli
+from tacgen import export as exporting
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
 from tacgen.export import EXPORTERS, export
@@ -113,3 +115,16 @@ def test_vtk_reads_every_step(vtkhdf: Path, source: Path) -> None:
         assert (found["stress"] == np.stack([xx, yy, zz, xy, yz, xz], 1)).all()
         assert vtk_to_numpy(grid.GetCellData().GetArray("element_stress"))[0, 3] == 5 + 10 * k
         assert vtk_to_numpy(grid.GetCellData().GetArray("layer")).tolist() == [0]
+
+
+def test_splits_without_scenes_are_told(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scores over them would be nan; formats that divide are those whose module knows the splits."""
+    package = Path(exporting.__file__).parent
+    texts = {kind: (package / f"{kind}.py").read_text() for kind in EXPORTERS}
+    divided = {kind for kind, text in texts.items() if "bundle.splits import" in text or "split_ranges" in text}
+    assert divided == set(exporting.DIVIDED)
+    monkeypatch.setattr(exporting, "import_module", lambda _: SimpleNamespace(write=lambda bundles, out: []))
+    for kind in ("zarr", "vtkhdf"):
+        done = CliRunner().invoke(cli.app, ["export", kind, str(source), "-o", str(tmp_path / kind), "--merge"])
+        said = "warning: no scene for the split val and test, of 2: make more before scores are compared\n"
+        assert (done.exit_code, done.stderr) == (0, said if kind == "zarr" else ""), done.output

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.tiny import sensor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -60,11 +61,12 @@ index = st.floats(1.0, 2.4)
     st.floats(-2000, 2000),
     st.floats(0, 1.3),
     st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+    st.floats(0.5, 2.0),
 )
-def test_rays_then_project_returns_the_pixel_for_any_stack(layers, distance, px, py, way, turn):
+def test_rays_then_project_returns_the_pixel_for_any_stack(layers, distance, px, py, way, turn, aspect):
     stack = Stack((distance, *(t for t, _ in layers)), (1.0, *(n for _, n in layers)))
-    px, py = (px, py) if turn == (0, 0, 0) else (px / 10, py / 10)  # a turned one must not look along the plate
-    eye = PinholeCamera(stack, (1.0, 2.0), 300.0, (240, 320), (20.0, -30.0), turn[:2], turn[2])
+    px, py = (px, py) if turn == (0, 0, 0) else (px / 10, py / 20)  # a turned one must not look along the plate
+    eye = PinholeCamera(stack, (1.0, 2.0), 300.0, (240, 320), (20.0, -30.0), turn[:2], turn[2], aspect)
     origin, direction = eye.rays([[px, py]])
     point = origin + way * direction * layers[-1][0] / direction[:, 2:]
     assert eye.project(point)[0] == pytest.approx([px, py], abs=1e-6)
@@ -86,3 +88,14 @@ def test_a_dent_comes_closer_and_grows_in_the_image():
 def test_a_point_behind_the_pinhole_is_refused():
     with pytest.raises(ValueError, match="pinhole"):
         camera().project([[0.0, 0.0, -30.0]])
+
+
+def test_pixels_that_are_not_square_show_the_same_points_in_fewer_rows():
+    """11.7 pixels a mm across and 10.8 down, of a camera that is turned and looks beside the middle."""
+    eye = {"mm_per_px": 1 / 11.7, "crop_mm": [0.4, -0.3], "tilt_deg": [3, -2], "roll_deg": 5}
+    square, flat = (PinholeCamera.from_sensor(sensor(camera={**eye, **more})) for more in (
+        {"height_px": 117}, {"height_px": 108, "pixel_aspect": 11.7 / 10.8}))  # fmt: skip
+    points = np.random.default_rng(0).uniform([-3, -3, -1], [3, 3, 0], (20, 3))
+    assert flat.project(points) == pytest.approx(square.project(points) * [1, 10.8 / 11.7], abs=1e-9)
+    for one, other in zip(flat.rays([[10.0, 54.0]]), square.rays([[10.0, 58.5]]), strict=True):
+        assert one == pytest.approx(other, abs=1e-12)

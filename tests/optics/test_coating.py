@@ -23,6 +23,15 @@ def test_dots_lie_on_their_grid_and_cover_their_area():
     assert coating.paint(markers, np.array([[4.8, 0.0]]), 0.02) == 0.0  # where a fourth column would be
 
 
+def test_a_lattice_may_lie_beside_the_middle_of_the_pad():
+    plain = sensor().markers
+    moved, by = plain.model_copy(update={"offset_mm": (0.5, -0.2)}), np.array([0.5, -0.2])
+    assert coating.centers(moved) == pytest.approx(coating.centers(plain) + by)
+    xy = np.random.default_rng(0).uniform(-4, 4, (500, 2))
+    assert coating.paint(moved, xy + by, 0.1) == pytest.approx(coating.paint(plain, xy, 0.1), abs=1e-9)
+    assert coating.paint(moved, coating.centers(moved), 0.1) == pytest.approx(np.ones(9))
+
+
 def hexagonal(rings: int, pitch_mm: float, diameter_mm: float) -> HexagonalMarkers:
     return HexagonalMarkers(
         layout="hexagonal", rings=rings, pitch_mm=pitch_mm, diameter_mm=diameter_mm, albedo=0.1, source="test"

@@ -14,3 +14,5 @@ def test_it_is_scipys_at_any_width_even_beyond_the_picture(sd: float, truncate: 
     expected = gaussian_filter(picture, (sd, sd, 0), mode="nearest", truncate=truncate)
     for asked in (picture, np.asfortranarray(picture)):
         assert blur(asked, sd, truncate) == pytest.approx(expected, rel=1e-12, abs=1e-14)
+    expected = gaussian_filter(picture, (sd, 1.4 * sd, 0), mode="nearest", truncate=truncate)
+    assert blur(picture, sd, truncate, 1.4 * sd) == pytest.approx(expected, rel=1e-12, abs=1e-14)

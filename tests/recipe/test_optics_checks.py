@@ -57,6 +57,8 @@ def test_a_light_behind_the_camera_and_an_axis_beside_the_pad():
     [
         ({"columns": 7}, ["columns"]),
         ({"rows": 9}, ["rows"]),
+        ({"offset_mm": [3.5, 2.9]}, []),
+        ({"offset_mm": [-3.7, 3.1]}, ["columns", "rows"]),  # 4.8 and 4 mm of dots on 12 and 10 mm
         ({"rings": 3, "pitch_mm": 1.9}, []),
         ({"rings": 3, "pitch_mm": 1.95}, ["rings"]),  # 11.7 mm across of 12, and 10.13 of 10
     ],

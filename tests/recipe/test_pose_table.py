@@ -144,6 +144,10 @@ def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
         (table(ROWS).replace("0.7", "inf"), "line 4: x must be a number (got 'inf')"),
         (table(ROWS).replace("0.995", "0.95"), "line 4: a quaternion must be of length 1 (got 0.9552)"),
         (table(ROWS).replace("0.25,", "0.1,"), "line 4: time must increase (got 0.1 after 0.1)"),
+        (
+            table(ROWS).replace("0.25,", "1700000000.2,").replace("0.1,", "1700000000.3,", 1),
+            "line 4: time must increase (got 1700000000.2 after 1700000000.3)",
+        ),
         (table(ROWS).replace("0.1,0.5,", "0.1,"), "line 3: has 7 cells, and the header 8"),
     ],
 )

@@ -15,6 +15,7 @@ RECIPES = {
     "trajectory=[{close: {width_mm: 9, frames: 1}}]": "add one, or leave this movement out",
     "mesh=hex|sensor=digit_pinki": "leave mesh out",
     "render.method=table|sensor=ninedtact|outputs=[rgb]": "take transport",
+    "render.method=path|sensor.camera.pixel_aspect=1.1|outputs=[rgb]": "are not square (camera.pixel_aspect)",
     "markers.method=analytic|sensor=digit|outputs=[force]": "take fem",
     "sensor=no/such.yaml": "a relative path starts at the working folder",
     "outputs=[force]|render.background=a.png": "add rgb to them, or leave background out",

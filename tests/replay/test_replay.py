@@ -255,3 +255,12 @@ def test_a_log_without_forces_has_tacgens_alone(world: World, tmp_path: Path) ->
     assert first["simulator_z_n"] == first["error_z_n"] == first["std_z_n"] == ""
     assert float(first["force_z_n"]) == pytest.approx(world.force[0, 2], rel=1e-5)
     comparison.write([found], tmp_path)
+
+
+def test_times_in_seconds_since_1970_stay_distinct(world: World) -> None:
+    steps, start = np.arange(2), 1.7e9
+    log = ContactLog("log", steps, start + 0.1 * steps, world.ball[:2], world.sensor[:2], None, True)
+    found = comparison.Compared(log, "scene-00000", "", world.force[:2], 0 * world.force[:2], None, None)
+    assert [row["time_s"] for row in csv.DictReader(comparison.table([found]).splitlines())] == [
+        "1700000000", "1700000000.1"]  # fmt: skip
+    assert comparison.text([found]).splitlines()[-1].split()[:2] == ["1", "1700000000.1"]

@@ -31,7 +31,11 @@ NOISE = {"shot": [1e-4] * 3, "read": [5e-3, 3e-3, 6e-3]}
 STAINED = {"grain": {"contrast": 0.05, "length_mm": 0.3}, "wear": {"loss": 0.3, "radius_mm": 1.0, "center_mm": [1, 0]}}
 SENSORS: dict[str, dict[str, Any]] = {
     "matt": {"markers": None, "coating": MATT},
-    "matt with dots, stray light": {"coating": MATT, "camera": {**CAMERA, "ambient": [0.1, 0.2, 0.3], "noise": NOISE}},
+    "matt with dots beside the middle, stray light": {
+        "coating": MATT,
+        "camera": {**CAMERA, "ambient": [0.1, 0.2, 0.3], "noise": NOISE},
+        "markers": {"offset_mm": [0.5, -0.2]},
+    },
     "glossy with dots and grain, out of focus": {
         "coating": STAINED,
         "camera": {**CAMERA, "blur_mm": 0.3, "colour_matrix": [[1, -0.2, -0.3], [0, 1, 0], [0, 0, 1]]},

@@ -1,0 +1,112 @@
+"""Whether a fit is plausible, and the sensor file written from it: every `calibrate` command writes its fit here."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen.calibrate.result import rms, write_sensor
+from tacgen.errors import UserError
+from tacgen.recipe import loading, sensor_checks
+from tacgen.sensor import usual_values, yaml_source
+from tacgen.sensor.model import Sensor
+from tacgen.sensor.yaml_source import KeyPath, Source, format_path
+
+Array = np.ndarray
+FLOOR = 0.05  # of the largest force: errors of smaller forces are relative to this
+FAR = 0.3  # rms error of the fitted forces over the rms force, from which they do not follow the measured ones
+CLEAR = 0.5  # of the change that a drift leaves: the most that dents may leave to count as seen
+FARTHEST = 3.0  # relative error of one force, after that which the method expects of it, from which it is no scatter
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Grounds on which a fit is judged; each is left out where a fit has none of it."""
+
+    force: tuple[Array, Array, Array | float] | None = None  # fitted, measured (n,) [N]; factors on expected errors
+    pictures: tuple[float, float] | None = None  # share of their change that dents explain, and a drift without any
+    unseen: str = ""  # why the fit is no better than its start on measurements that it has not seen
+
+
+@dataclass(frozen=True)
+class SensorFit(ABC):
+    """A fit: the sensor file it starts from, and the values of it that it changes."""
+
+    path: Path
+    sensor: Sensor  # before the fit
+    changes: dict[KeyPath, Any]  # None: the key is removed
+
+    @abstractmethod
+    def lines(self) -> Iterator[str]:
+        """Report in text."""
+
+    @abstractmethod
+    def plain(self) -> dict[str, Any]:
+        """Report as JSON values."""
+
+    @abstractmethod
+    def draw(self, out: Path) -> None:
+        """Draw the fit over what was measured into `out`."""
+
+    @abstractmethod
+    def evidence(self) -> Evidence:
+        """Grounds on which the fit is judged."""
+
+    def head(self) -> Iterator[str]:
+        """Lines of a comment at the head of the written file."""
+        yield from ()
+
+    def problem(self) -> str:
+        """Why the fit should not be used, in a line; empty for a plausible one."""
+        return "; ".join((*_of_file(self), *_of_evidence(self.evidence())))
+
+    def refuse(self, out: Path) -> None:
+        """Raise UserError if there is a problem with the fit that was to be written to `out`."""
+        if said := self.problem():
+            raise UserError(f"{out}: not written: {said}; --anyway writes it")
+
+    def write(self, out: Path, *, anyway: bool = False) -> None:
+        """Write the changed sensor file; comments are kept. Raises UserError: there is a problem, and no `anyway`."""
+        if not anyway:
+            self.refuse(out)
+        write_sensor(self.path, self.sensor, self.changes, out, "".join(f"# {line}\n" for line in self.head()))
+
+
+def off(fitted: Array, measured: Array) -> Array:
+    """Relative errors of fitted forces (n,); forces below FLOOR of the largest are compared with that."""
+    return np.asarray((fitted - measured) / np.maximum(np.abs(measured), FLOOR * np.abs(measured).max()))
+
+
+def no_dents(dents: float, drift: float) -> str:
+    """Why pictures show no presses, from the shares of their change that dents explain, and a drift; empty if so."""
+    if 1 - dents < CLEAR * (1 - drift):
+        return ""
+    return (f"dents explain {100 * dents:.0f} % of the pictures' change, and light that drifts {100 * drift:.0f} %: see"
+            " that the contacts' rims show, and press lightly and hard in turn, at several places")  # fmt: skip
+
+
+def _of_file(fit: SensorFit) -> Iterator[str]:
+    """Changed values that no gel has, or that make a sensor file which `validate` refuses."""
+    text = yaml_source.edited(fit.path, fit.changes)
+    tree = yaml_source.parse(text, Source(str(fit.path), tuple(text.splitlines()), fit.path.parent))
+    made, wrong = sensor_checks.check(tree.data, loading.solid_folder(tree))
+    if made is not None:
+        wrong = [issue for issue in usual_values.unusual(made.gel) if issue.path in fit.changes]
+    yield from (f"{format_path(issue.path)}: {issue.message}" for issue in wrong)
+
+
+def _of_evidence(known: Evidence) -> Iterator[str]:
+    if known.force is not None:
+        fitted, measured, doubt = known.force
+        each = np.abs(off(fitted, measured)) / doubt
+        worst, whole = int(each.argmax()), rms([fitted - measured]) / rms([measured])
+        if whole > FAR or each[worst] > FARTHEST:
+            yield (f"the fitted forces do not follow the measured ones: off by {100 * whole:.0f} % rms, and"
+                   f" {fitted[worst]:.3g} N where {measured[worst]:.3g} N was measured")  # fmt: skip
+    if known.pictures is not None and (said := no_dents(*known.pictures)):
+        yield said
+    if known.unseen:
+        yield known.unseen
