@@ -199,19 +199,14 @@ def rows(case: Case, found: dict[str, Found], analytic: float) -> list[list[Cell
 def bench(level: Level, say: Say) -> Result:
     """The sharp table."""
     cases = CASES[:2] if level == "smoke" else CASES
-    asked = [
-        (k, quality, analytic)
-        for k, (quality, analytic) in product(range(len(cases)), [(q, False) for q in QUALITIES] + [("half", True)])
-    ]
-    with cores(level) as every:
-        answers = list(every(_one, asked))
+    kinds = [*((quality, False) for quality in QUALITIES), ("half", True)]
     table: list[list[Cell]] = []
-    for k, case in enumerate(cases):
-        of = {
-            (quality, analytic): answer for (n, quality, analytic), answer in zip(asked, answers, strict=True) if n == k
-        }
-        table += rows(case, {quality: of[quality, False] for quality in QUALITIES}, of["half", True].force)
-        say(f"{case.name}: " + ", ".join(f"{row[2]} {row[4]:+.1%} ({row[5]:.1%})" for row in table[-3:]))
+    with cores(level) as every:
+        answers = every(_one, [(k, *kind) for k in range(len(cases)) for kind in kinds])
+        for case in cases:
+            of = {kind: next(answers) for kind in kinds}
+            table += rows(case, {quality: of[quality, False] for quality in QUALITIES}, of["half", True].force)
+            say(f"{case.name}: " + ", ".join(f"{row[2]} {row[4]:+.1%} ({row[5]:.1%})" for row in table[-3:]))
     return Result(ABOUT, [Table("Sharp edges and tips", HEADS, table)])
 
 
