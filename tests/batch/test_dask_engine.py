@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.needs import needs
 from helpers.scenes import made, spoil
 
 from batch.test_local import digests, leftovers, run
@@ -17,7 +18,7 @@ from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
 
-pytest.importorskip("distributed")
+needs("distributed")
 TESTS = Path(__file__).parents[1]
 
 
@@ -79,7 +80,7 @@ echo "Submitted batch job $!"
 
 @pytest.mark.slow
 def test_the_slurm_script_runs_where_jobs_are_processes(tmp_path: Path):
-    pytest.importorskip("dask_jobqueue")
+    needs("dask_jobqueue")
     for name, text in (("sbatch", SBATCH), ("scancel", '#!/bin/sh\nkill "$@"\n')):
         command = tmp_path / "bin" / name
         command.parent.mkdir(exist_ok=True)
@@ -122,7 +123,7 @@ def test_what_a_user_can_mend_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_what_goes_into_a_job_script_is_quoted():
-    pytest.importorskip("dask_jobqueue")
+    needs("dask_jobqueue")
     script = [sys.executable, TESTS.parent / "scripts" / "slurm.py", "batch", "-o", "out", "--dry-run", "--queue"]
     done = subprocess.run([*script, "a b; touch x"], capture_output=True, text=True, timeout=120)
     assert "#SBATCH -p 'a b; touch x'\n" in done.stdout, done.stderr

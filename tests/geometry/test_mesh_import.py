@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from helpers.needs import needs
 from helpers.program import loaded
 
 from tacgen.errors import UserError
@@ -115,7 +116,7 @@ def holed() -> trimesh.Trimesh:
 
 @pytest.mark.parametrize("make", [cracked, holed])
 def test_what_trimesh_cannot_repair_is_repaired_by_meshlab(make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    pytest.importorskip("pymeshlab")
+    needs("pymeshlab")
     path = saved(make(), tmp_path / "torn.stl")
     found = mesh_import.read(path)
     mended = trimesh.Trimesh(found.vertices, found.triangles, process=False)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import presses, small_recipe
+from helpers.needs import needs
 from helpers.presses import Run, gel, poses, scene
 
 from tacgen import pipeline
@@ -19,7 +20,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import plan, scene_of_row
 
-ipctk = pytest.importorskip("ipctk")
+ipctk = needs("ipctk")
 Array = np.ndarray
 Path3 = list[tuple[float, float, float]]
 
