@@ -43,6 +43,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_real_scheduler_killed_in_the_middle_loses_nothing(tmp_path: Path):
     out = tmp_path / "out"
     address = f"tcp://127.0.0.1:{free_port()}"

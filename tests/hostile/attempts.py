@@ -106,7 +106,7 @@ def inputs(folder: Path) -> Path:
     return folder
 
 
-def _inputs(folder: Path) -> None:
+def read_inputs(folder: Path) -> None:
     """Validate the recipe; read the meshes that it does not name as well."""
     from tacgen.geometry import mesh_import
 
@@ -234,7 +234,7 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
 
 def _read(reader: str, folder: Path, wanted: Content | None) -> str:
     """What is no longer what it was is wrong, unless `check` says so."""
-    READERS.get(reader, _inputs)(folder)
+    READERS.get(reader, read_inputs)(folder)
     if wanted is not None and reader == "check":
         try:
             found = Content.of(folder)
