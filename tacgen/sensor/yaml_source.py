@@ -5,8 +5,9 @@ PyYAML is not used: it reads 1e5 as a string and `no` as False, and takes duplic
 
 import re
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -194,7 +195,14 @@ def load(path: Path) -> Tree:
         raise UserError(f"{name}: is not a text file (UTF-8)") from None
     if "\0" in text:
         raise UserError(f"{name}: is not a text file (UTF-8)")
-    return parse(text, Source(name, tuple(text.splitlines()) or ("",), path.parent))
+    kept = _parsed(text, name, path.parent)
+    return Tree(deepcopy(kept.data), kept.spots)
+
+
+@lru_cache(maxsize=16)
+def _parsed(text: str, name: str, folder: Path) -> Tree:
+    """The tree of a file's text. It is kept: parsing a sensor file takes 60 ms, and each plan reads one."""
+    return parse(text, Source(name, tuple(text.splitlines()) or ("",), folder))
 
 
 def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
