@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from helpers.needs import needs
-from helpers.scenes import made, spoil
+from helpers.scenes import made, make, make_plan, spoil
 
 from batch.test_local import digests, leftovers, run
 from tacgen.bundle.check import check
@@ -22,7 +22,7 @@ needs("distributed")
 TESTS = Path(__file__).parents[1]
 
 
-def test_dask_writes_the_bytes_that_the_local_engine_writes(tmp_path: Path):
+def test_dask_writes_the_bytes_that_this_process_writes(tmp_path: Path):
     spoil(tmp_path / "dask", "scene-00003", "kill once writing")
     spoil(tmp_path / "dask", "scene-00005", "refuse")
     events: list[dict[str, Any]] = []
@@ -32,9 +32,10 @@ def test_dask_writes_the_bytes_that_the_local_engine_writes(tmp_path: Path):
     assert survey(tmp_path / "dask").count() == {"ok": 7, "failed": 1}
     (tmp_path / "dask" / "faults" / "scene-00005").unlink()
     run(tmp_path / "dask", engine="dask")
-    run(tmp_path / "local")
-    assert digests(tmp_path / "dask") == digests(tmp_path / "local")
-    assert len(digests(tmp_path / "local")) == 8
+    for row in make_plan(tmp_path).rows:
+        make(row, tmp_path / "here")
+    assert digests(tmp_path / "dask") == digests(tmp_path / "here")
+    assert len(digests(tmp_path / "here")) == 8
 
 
 def free_port() -> int:

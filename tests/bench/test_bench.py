@@ -312,7 +312,7 @@ def used(output: str, friction: float) -> dict[str, list[str]]:
     return found
 
 
-@pytest.mark.parametrize("output", ["force", "stress", "markers"])
+@pytest.mark.parametrize("output", ["force", "markers", pytest.param("stress", marks=pytest.mark.slow)])
 def test_outputs_that_are_not_asked_for_are_not_imported(output: str) -> None:
     found = used(output, 0)
     asked = UNASKED.get(output, set())
