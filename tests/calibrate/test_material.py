@@ -44,7 +44,7 @@ def test_known_constants_lie_within_the_bounds_of_95_in_100_draws(curves: Curves
     random, depth, true = np.random.default_rng(5), np.linspace(0.08, DEEPEST, 16), {"modulus": 1.3, "zero": 0.04}
     clean = 1.3 * curves.force(depth + 0.04)
     inside, found, width = [], [], []
-    for _ in range(120):
+    for _ in range(60):
         noise = np.hypot(part * clean, even * clean.max()) * random.normal(size=depth.size)
         fit = fit_material.fit(curves, Measured("draw", depth, clean + noise))
         inside.append([e.low <= true[e.name] <= e.high for e in fit.estimates])

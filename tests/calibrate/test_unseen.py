@@ -26,6 +26,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
     monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
     monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.MEMBERS", 1)
 
 
 def calibrate(folder: Path, unit: Any, *options: str) -> Any:

@@ -131,16 +131,23 @@ def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, t
         assert {member.mtime for member in tar} == {0}
 
 
-def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path, scene: Bundle, tmp_path: Path):
+@pytest.fixture(scope="module")
+def tables(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both scenes as a LeRobot data set."""
+    needs("pyarrow")
+    export.export("lerobot", folder, out := tmp_path_factory.mktemp("lerobot") / "tables")
+    return out
+
+
+def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path, scene: Bundle, tables: Path):
     parquet = needs("pyarrow.parquet")
-    export.export("lerobot", folder, tmp_path)
-    info = json.loads((tmp_path / "meta" / "info.json").read_text())
+    info = json.loads((tables / "meta" / "info.json").read_text())
     assert (info["codebase_version"], info["total_episodes"], info["total_frames"]) == ("v3.0", 2, 2 * FRAMES)
-    episodes = parquet.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    episodes = parquet.read_table(tables / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert [(e["dataset_from_index"], e["dataset_to_index"]) for e in episodes] == [(0, FRAMES), (FRAMES, 2 * FRAMES)]
     last = episodes[1]
     path = info["data_path"].format(chunk_index=last["data/chunk_index"], file_index=last["data/file_index"])
-    table = parquet.read_table(tmp_path / path)
+    table = parquet.read_table(tables / path)
     assert set(table.column_names) == set(info["features"])
     rows = table.to_pylist()[last["dataset_from_index"] : last["dataset_to_index"]]
     assert [row["index"] for row in rows] == list(range(FRAMES, 2 * FRAMES))
@@ -170,12 +177,12 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
     for name, feature in info["features"].items():
         if name in ("observation.force", "action", "observation.state"):
             assert table.schema.field(name).type.list_size == feature["shape"][0]
-    stats = json.loads((tmp_path / "meta" / "stats.json").read_text())
+    stats = json.loads((tables / "meta" / "stats.json").read_text())
     force = np.concatenate([bundle["/frames/force"] for bundle in export.bundles(folder)])
     assert stats["observation.force"]["mean"] == pytest.approx(force.mean(0), rel=1e-5)
     assert np.shape(stats["observation.images.tactile"]["std"]) == (3, 1, 1)
     assert last["stats/observation.force/count"] == [FRAMES]
-    tasks = parquet.read_table(tmp_path / "meta" / "tasks.parquet")
+    tasks = parquet.read_table(tables / "meta" / "tasks.parquet")
     assert tasks.to_pylist() == [{"task_index": 0, "task": task(scene)}]
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
@@ -187,13 +194,12 @@ def test_the_task_tells_the_movements_and_none_of_the_labels(scene: Bundle) -> N
 
 
 def test_lerobot_names_touch_as_planned_there_and_the_forces_of_cells_sum_to_the_force(
-    folder: Path, scene: Bundle, tmp_path: Path
+    scene: Bundle, tables: Path
 ) -> None:
     parquet = needs("pyarrow.parquet")
-    export.export("lerobot", folder, tmp_path)
-    features = json.loads((tmp_path / "meta/info.json").read_text())["features"]
+    features = json.loads((tables / "meta/info.json").read_text())["features"]
     assert features["observation.tactile.wrench"]["names"][2:5] == ["z_n", "torque_x_n_mm", "torque_y_n_mm"]
-    row = parquet.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()[FRAMES + 9]
+    row = parquet.read_table(tables / "data/chunk-000/file-000.parquet").to_pylist()[FRAMES + 9]
     force, torque = scene.frame("/frames/force", 9), scene.frame("/frames/torque", 9)
     assert row["observation.tactile.wrench"] == pytest.approx([*force, *torque], rel=1e-6)
     cells = np.reshape(row["observation.tactile.force"], (12, 16, 3))
@@ -330,19 +336,18 @@ def test_lerobot_has_an_episode_for_both_fingers_of_a_grasp(tmp_path: Path) -> N
     assert task == "Press the object into the sensor, then slide, hold and twist it."
 
 
-def test_lerobot_depth_is_16_bit_in_micrometres(folder: Path, scene: Bundle, tmp_path: Path) -> None:
+def test_lerobot_depth_is_16_bit_in_micrometres(scene: Bundle, tables: Path) -> None:
     parquet = needs("pyarrow.parquet")
-    export.export("lerobot", folder, tmp_path)
-    feature = json.loads((tmp_path / "meta/info.json").read_text())["features"]["observation.images.tactile_depth"]
+    feature = json.loads((tables / "meta/info.json").read_text())["features"]["observation.images.tactile_depth"]
     assert (feature["dtype"], feature["shape"]) == ("image", [60, 80, 1])
     assert feature["info"] == {"is_depth_map": True, "depth_unit": "um"}
-    rows = parquet.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()
+    rows = parquet.read_table(tables / "data/chunk-000/file-000.parquet").to_pylist()
     for k in range(FRAMES):
         picture = Image.open(io.BytesIO(rows[FRAMES + k]["observation.images.tactile_depth"]["bytes"]))
         assert picture.mode == "I;16"
         pressed = np.maximum(scene["/reference/height"] - scene.frame("/frames/height", k), 0)
         assert np.asarray(picture) / 1000 == pytest.approx(pressed, abs=5.1e-4)
-    stats = json.loads((tmp_path / "meta/stats.json").read_text())["observation.images.tactile_depth"]
+    stats = json.loads((tables / "meta/stats.json").read_text())["observation.images.tactile_depth"]
     assert np.shape(stats["mean"]) == (1, 1, 1)
 
 

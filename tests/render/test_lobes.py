@@ -219,7 +219,7 @@ def test_texture_coordinates_of_the_face_keep_its_stratified_directions_stratifi
         shapes = tracer._scene.shapes()
         assert {shape.id() for shape in shapes if shape.has_vertex_texcoords()} == ({"face"} if kept else set())
         assert {shape.id() for shape in shapes if shape.has_vertex_normals()} == {"face"}
-        pictures = np.array([tracer.radiance(Untouched(), 256, k) for k in range(4)])
+        pictures = np.array([tracer.radiance(Untouched(), 64, k) for k in range(4)])
         noise.append(np.sqrt(pictures.var(0, ddof=1).mean()))
         monkeypatch.setattr(mitsuba_path, "mesh", lambda *parts, smooth=False: own(*parts[:4], smooth=smooth))
     assert noise[1] > 1.05 * noise[0]
