@@ -74,8 +74,8 @@ def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypa
     read = photos.read(photographed(unit, tmp_path / "unit", PRESSES[:2]), file.camera)
     faces = [press_faces.face(file, press, {}) for press in read.presses]
     trial = clear_fits.Fits(file, read, faces, Tolerance(0.5, 0.1), bare=True)
-    _, (_, (judging,)) = trial.judged([[]], 2)
-    assert trial.whole(3.0, 2).sensor == judging
+    _, (_, (judging,)) = trial.judged([[]], 1)
+    assert trial.whole(3.0, 1).sensor == judging
 
 
 def test_worse_scores_are_told_before_and_after() -> None:

@@ -28,7 +28,7 @@ contact: {{friction: {FRICTION}}}
 outputs: [force]
 quality: {{edge_mm: 1.0, dhat_mm: 0.1}}
 """
-BLOCK = f"""{HEAD.replace("1.0", "1.3")}indenter: {{shape: box, size_x_mm: 8, size_y_mm: 6, fillet_mm: 1}}
+BLOCK = f"""{HEAD}indenter: {{shape: box, size_x_mm: 8, size_y_mm: 6, fillet_mm: 1}}
 grasp: {{mass_kg: {MASS}, height_mm: 6, fall_mm: 0.4}}
 """
 BALL = f"""{HEAD}indenter: {{shape: sphere, radius_mm: 5}}

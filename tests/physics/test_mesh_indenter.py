@@ -43,9 +43,9 @@ def test_letters_are_reached_in_one_step():
         assert state.traction_force[..., 2].sum() < -0.5
 
 
-def plate(folder: Path, thickness: float, side: float = 8.0) -> tuple[str, str]:
-    """A plate that is pressed by 0.2 mm at once."""
-    trimesh.creation.box([side, side, thickness]).export(folder / "plate.stl")
+def plate(folder: Path, thickness: float) -> tuple[str, str]:
+    """A plate of 8 mm that is pressed by 0.2 mm at once."""
+    trimesh.creation.box([8, 8, thickness]).export(folder / "plate.stl")
     indenter = f"indenter={{shape: mesh, file: {folder / 'plate.stl'}}}"
     return indenter, "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
 
@@ -53,7 +53,7 @@ def plate(folder: Path, thickness: float, side: float = 8.0) -> tuple[str, str]:
 def test_a_plate_that_is_thinner_than_contact_reaches_is_refused(tmp_path: Path):
     """It bore no force at any depth: contact shrinks the indenter, and of this one nothing was left."""
     with pytest.raises(UserError, match=r"plate\.stl: has no point deeper inside than 0\.0.*{dhat_mm: 0\.01}"):
-        pressed(*plate(tmp_path, 0.1, side=3.0))
+        pressed(*plate(tmp_path, 0.1))
 
 
 @pytest.mark.slow

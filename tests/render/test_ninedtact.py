@@ -24,7 +24,7 @@ FINE = 1.1674  # [N] on meshes of 0.25 and 0.2 mm edge (16 800 and 21 800 nodes)
 
 @pytest.fixture(scope="module")
 def row() -> Row:
-    return small_recipe.row("press: {depth_mm: 1, frames: 3}", "sensor=ninedtact", "quality=default")
+    return small_recipe.row("press: {depth_mm: 1, frames: 4}", "sensor=ninedtact", "quality=default")
 
 
 @pytest.fixture(scope="module")
