@@ -63,6 +63,7 @@ def test_force_with_friction() -> None:
     assert (np.diff(-forces[:, 2], prepend=0) > 0).all()
 
 
+@pytest.mark.slow
 def test_force_of_a_smaller_sphere_on_a_softer_gel() -> None:
     row = resolved("indenter.radius_mm=3", depth=0.8, E=0.1, nu=0.49)
     assert -solved(row).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)

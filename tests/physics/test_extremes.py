@@ -21,6 +21,7 @@ SLOW = {
     "needle",
     "punch jumps across the pad",
     "punch three quarters deep",
+    "skin of 0.1 mm",
     "skin softer 1000:1",
     "skin of 0.1 mm, stiffer 1000:1",
     "three quarters deep, nu 0.4999",
