@@ -274,6 +274,7 @@ def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path:
         assert (tmp_path / "gallery" / f"digit-{kind}.webp").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_the_gallery_shows_pictures_by_both_methods_and_how_far_apart_they_are(tmp_path: Path) -> None:
     def lighter(_: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/rgb"] = np.minimum(arrays["/frames/rgb"], 250) + 3

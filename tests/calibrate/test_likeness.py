@@ -82,6 +82,7 @@ def test_a_network_learns_a_plain_function(monkeypatch):
     assert off() > 5 * learnt
 
 
+@pytest.mark.slow
 def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
     """The decay by press: with that of 192 presses, a network of five finds them better, and others worse."""
     monkeypatch.setattr(normal_net, "STEPS", 300)
@@ -98,6 +99,7 @@ def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
     assert loose[1] > 1.2 * held[1]
 
 
+@pytest.mark.slow
 def test_noise_in_training_makes_the_network_smooth(monkeypatch):
     """Normals that turn to and fro within few counts are learnt as their mean, which bears a colour that is off."""
     monkeypatch.setattr(normal_net, "STEPS", 300)

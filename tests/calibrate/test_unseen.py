@@ -66,6 +66,7 @@ def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(cou
     assert not replace(one, likeness=(after, before)).better
 
 
+@pytest.mark.slow
 def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A judging fit from which no press is left out is the written one."""
     monkeypatch.setattr(clear_fits, "RIDGES", (30.0, 3.0))

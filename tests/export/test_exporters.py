@@ -415,7 +415,11 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("kind", ["feats", "lerobot", "univtac", "webdataset", "sparsh", "feelanyforce", "zarr"])
+@pytest.mark.parametrize(
+    "kind",
+    ["lerobot", "univtac", "webdataset", "zarr"]
+    + [pytest.param(kind, marks=pytest.mark.slow) for kind in ("feats", "sparsh", "feelanyforce")],
+)
 def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacking(
     few: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ):

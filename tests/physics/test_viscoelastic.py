@@ -98,6 +98,7 @@ def test_the_oracle_agrees() -> None:
     assert fast.forces[:, 2] == pytest.approx(true.forces[:, 2], rel=5e-3)
 
 
+@pytest.mark.slow
 def test_meshes_in_contact_relax_alike() -> None:
     needs("ipctk")
     ball = surface_nets.of_shape(SphereSdf(2.5), half=8.0, height=3.0, tolerance=5e-3)
