@@ -12,8 +12,9 @@ SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info
 CANDIDATES = python3 python3.13 python3.12 python3.11 python
 PYTHON ?= $(shell for p in $(CANDIDATES); do $$p -c '$(SUITABLE)' >/dev/null 2>&1 && { echo $$p; break; }; done)
 BIN = .venv/bin
-# worksteal: a file stays with one worker, which solves its fixtures once
-PYTEST_FLAGS ?= -n auto --dist worksteal
+# worksteal: a file stays with one worker, which solves its fixtures once; at most 8, each of which imports all tests
+PYTEST_FLAGS ?= -n auto --maxprocesses 8 --dist worksteal
+TESTS ?= tests
 
 # one thread per process: sums are added in one order, and two test processes do not fight over cores
 export OMP_NUM_THREADS ?= 1
@@ -46,7 +47,7 @@ check: sync
 	$(BIN)/mypy
 
 test: sync
-	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS) $(TESTS)
 
 test-slow: sync
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)

@@ -17,6 +17,7 @@ import click
 import numpy as np
 import pytest
 import typer
+from helpers.needs import needs
 from helpers.program import loaded
 from helpers.synthetic import attributes, write
 from typer.testing import CliRunner
@@ -273,6 +274,7 @@ def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path:
         assert (tmp_path / "gallery" / f"digit-{kind}.webp").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_the_gallery_shows_pictures_by_both_methods_and_how_far_apart_they_are(tmp_path: Path) -> None:
     def lighter(_: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/rgb"] = np.minimum(arrays["/frames/rgb"], 250) + 3
@@ -359,7 +361,7 @@ def test_the_tutorial_runs(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_site_is_built_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
-    pytest.importorskip("mkdocs")
+    needs("mkdocs")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     done = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}

@@ -9,13 +9,14 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 from helpers.program import loaded
 from helpers.small_recipe import PICTURE
 
 from tacgen import pipeline
 from tacgen.recipe import plan
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 ROOT = Path(__file__).parents[1]
 SCRIPT = ROOT / "examples" / "baselines.py"
 VARIED = """outputs: [force, events, height, normals, rgb]

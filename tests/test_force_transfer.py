@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 from helpers.program import loaded
 from helpers.small_recipe import PICTURE
 from PIL import Image
@@ -16,7 +17,7 @@ from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
 from tacgen.recipe import plan
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 SCRIPT = Path(__file__).parents[1] / "examples" / "force_transfer.py"
 DEPTHS = """outputs: [force, rgb]
 vary: {method: grid, over: {"trajectory[0].press.depth_mm": {linspace: [0.1, 0.8, 4]}}}

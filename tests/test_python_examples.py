@@ -12,6 +12,7 @@ COARSE = {"edge_mm": 0.75, "dhat_mm": 0.1, "spp": 4}
 FEW = {"steps": 2, "frames_held": 2, "samples": 2, "sensors": ("gelsight_mini",)}
 # several scenes each, images, and processes that start; the others cover the same calls
 LONG = {"ball_sizes", "camera_image", "data_set", "expected_error", "gel_thickness", "material_laws", "stick_to_slip"}
+LONG |= {"stress_section", "twist"}
 
 
 @pytest.mark.parametrize(

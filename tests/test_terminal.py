@@ -36,9 +36,9 @@ def shell(folder: Path, command: str) -> int:
     [
         ("2>/dev/full", 0),
         (">/dev/full 2>&1", 0),
-        ("2>&1 | head -c 10 >/dev/null", 0),
+        pytest.param("2>&1 | head -c 10 >/dev/null", 0, marks=pytest.mark.slow),
         ("--json 2>/dev/null | head -c 10 >/dev/null", 0),
-        (">&- 2>&-", 0),
+        pytest.param(">&- 2>&-", 0, marks=pytest.mark.slow),
         ("<&- >&- 2>&-", 0),
     ],
 )
@@ -50,7 +50,10 @@ def test_a_run_goes_on_when_nobody_reads_what_it_prints(tmp_path: Path, streams:
     assert check(tmp_path / "out") == []
 
 
-@pytest.mark.parametrize("command", ["show out", "list sensors", "--version", "--help"])
+@pytest.mark.parametrize(
+    "command",
+    ["show out", "--help", *(pytest.param(name, marks=pytest.mark.slow) for name in ("list sensors", "--version"))],
+)
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_results_that_nobody_gets_are_no_success(
     tmp_path: Path, command: str, unbuffered: str, monkeypatch: pytest.MonkeyPatch

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 from helpers.synthetic import write
 
 from tacgen import torch as reading
@@ -135,7 +136,7 @@ def test_mistakes_are_one_line(folder: Path, tmp_path: Path) -> None:
 
 
 def test_pytorch_loads_it_in_two_workers(folder: Path) -> None:
-    torch = pytest.importorskip("torch")
+    torch = needs("torch")
     dataset = TactileDataset(folder.parent / "packed", transform=lambda item: {**item, "force": -item["force"]})
     dataset[0]  # a file is open when the workers fork
     loader = torch.utils.data.DataLoader(dataset, batch_size=10, shuffle=True, num_workers=2)

@@ -82,7 +82,7 @@ class Worker:
                 messages.append(self.link.recv())
                 self.last_message = time.monotonic()
         except (EOFError, OSError):
-            messages.append(("lost", _exit_reason(self.stop())))
+            messages.append(("lost", _exit_reason(self.stop(patience=5.0))))  # a busy machine ends it slowly
         return messages
 
     def excess(self, limits: Limits, memory_gb: float) -> str:

@@ -12,7 +12,7 @@ Inside a core d decreases linearly, so that a gel that overlaps it at the start 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -97,9 +97,7 @@ def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
 class Grown(ABC):
     """A core offset outward by `smallest_radius`; see Shape."""
 
-    @property
-    def convex(self) -> None:
-        return None
+    convex: ClassVar[None] = None
 
     @property
     @abstractmethod

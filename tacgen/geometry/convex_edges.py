@@ -26,7 +26,7 @@ class Convex:
 
     @classmethod
     def of(cls, solid: SolidMesh, radius: float) -> "Convex":
-        """Of a solid whose sharp edges and tips have this radius [mm].
+        """Convex edges of a solid whose sharp edges and tips have this radius [mm].
 
         Radii are exact for the strips of triangles of CAD fillets, up to 1.5 times too large for equilateral triangles.
         """

@@ -44,7 +44,7 @@ def bounds(small: Floats) -> tuple[float, float, float, float]:
     for along in (0, 1):
         blocks, count = np.flatnonzero(there.any(axis=along)), there.shape[1 - along]
         first, last = (int(blocks[0]), int(blocks[-1]) + 1) if len(blocks) else (count, 0)
-        box += [SMALL * first if first else -np.inf, SMALL * last if last < count else np.inf]
+        box += [float(SMALL * first) if first else -np.inf, float(SMALL * last) if last < count else np.inf]
     return box[0], box[1], box[2], box[3]
 
 

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal
 
 from tacgen.recipe.model import FEW, Distribution, Vary
 from tacgen.sensor.validation_messages import Issue
@@ -49,15 +50,26 @@ def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
     design = vary.design
     if design == "random":
         return np.array([default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices])
+    if design == "lhs":  # each point depends on all others: draw them all
+        return _latin_hypercube(vary.seed, vary.samples or 0, d)[list(indices)]
     from scipy.stats import qmc  # half a second to import
 
     rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
-    if design == "lhs":  # each point depends on all others: draw them all
-        few = (vary.samples or 0) <= FEW  # optimised, so that columns hardly correlate; too slow for many
-        points = qmc.LatinHypercube(d, optimization="random-cd" if few else None, rng=rng).random(vary.samples)
-        return np.asarray(points[list(indices)])
     engine = qmc.Sobol(d, rng=rng) if design == "sobol" else qmc.Halton(d, rng=rng)
     return np.asarray(engine.random(1 << max(indices, default=0).bit_length())[list(indices)])
+
+
+@lru_cache(maxsize=4)
+def _latin_hypercube(seed: int, samples: int, d: int) -> "np.ndarray":
+    """All points (samples, d). They are kept: optimising them takes a second, and a plan is expanded more than once."""
+    import numpy as np
+    from numpy.random import SeedSequence, default_rng
+    from scipy.stats import qmc
+
+    # so that columns hardly correlate; too slow for many
+    optimised: Literal["random-cd"] | None = "random-cd" if samples <= FEW else None
+    rng = default_rng(SeedSequence((seed, 0, DRAW)))
+    return np.asarray(qmc.LatinHypercube(d, optimization=optimised, rng=rng).random(samples))
 
 
 def correlated(vary: Vary) -> list[Issue]:

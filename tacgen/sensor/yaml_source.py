@@ -5,8 +5,9 @@ PyYAML is not used: it reads 1e5 as a string and `no` as False, and takes duplic
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -189,8 +190,8 @@ def parents_first(paths: Iterable[str]) -> list[str]:
 
 def load(path: Path) -> Tree:
     """Read a YAML file. Raises UserError: it cannot be read, is not text or not YAML, or has a key twice."""
-    text = text_of(path)
-    return parse(text, Source(str(path), tuple(text.splitlines()) or ("",), path.parent))
+    kept = _parsed(text_of(path), str(path), path.parent)
+    return Tree(deepcopy(kept.data), kept.spots)
 
 
 def text_of(path: Path) -> str:
@@ -208,6 +209,12 @@ def text_of(path: Path) -> str:
     if "\0" in text:
         raise UserError(f"{path}: is not a text file (UTF-8)")
     return text
+
+
+@lru_cache(maxsize=16)
+def _parsed(text: str, name: str, folder: Path) -> Tree:
+    """The tree of a file's text. It is kept: parsing a sensor file takes 60 ms, and each plan reads one."""
+    return parse(text, Source(name, tuple(text.splitlines()) or ("",), folder))
 
 
 def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 from helpers.small_recipe import HEAD, PRESS
 from threadpoolctl import threadpool_limits
 
@@ -43,7 +44,7 @@ def planned(folder: Path, moves: str = PRESS, more: str = "") -> Plan:
 
 @pytest.fixture
 def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch")
+    needs("torch")
     monkeypatch.setattr(cuda_engine, "usable_devices", lambda: ["cpu"])
 
 
@@ -117,6 +118,7 @@ def test_known_frames_are_labelled_without_matrices(
 
 
 def test_memory_is_left_for_workers_that_draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs("torch")
     from tacgen.tensor_engine import device
 
     monkeypatch.setattr(device, "beside", lambda name, drawing: 1 / (1 + drawing))
@@ -372,7 +374,7 @@ def test_derivatives_are_left_to_the_cpu_engine(tmp_path: Path) -> None:
 
 
 def test_no_gpu_is_one_line(tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch")
+    torch = needs("torch")
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     with pytest.raises(UserError, match="finds no GPU that it can use; --engine local needs none"):

@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.scenes import made, spoil
+from helpers.needs import needs
+from helpers.scenes import made, make, make_plan, spoil
 
 from batch.test_local import digests, leftovers, run
 from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
 
-pytest.importorskip("distributed")
+needs("distributed")
 TESTS = Path(__file__).parents[1]
 
 
-def test_dask_writes_the_bytes_that_the_local_engine_writes(tmp_path: Path):
+def test_dask_writes_the_bytes_that_this_process_writes(tmp_path: Path):
     spoil(tmp_path / "dask", "scene-00003", "kill once writing")
     spoil(tmp_path / "dask", "scene-00005", "refuse")
     events: list[dict[str, Any]] = []
@@ -31,9 +32,10 @@ def test_dask_writes_the_bytes_that_the_local_engine_writes(tmp_path: Path):
     assert survey(tmp_path / "dask").count() == {"ok": 7, "failed": 1}
     (tmp_path / "dask" / "faults" / "scene-00005").unlink()
     run(tmp_path / "dask", engine="dask")
-    run(tmp_path / "local")
-    assert digests(tmp_path / "dask") == digests(tmp_path / "local")
-    assert len(digests(tmp_path / "local")) == 8
+    for row in make_plan(tmp_path).rows:
+        make(row, tmp_path / "here")
+    assert digests(tmp_path / "dask") == digests(tmp_path / "here")
+    assert len(digests(tmp_path / "here")) == 8
 
 
 def free_port() -> int:
@@ -42,6 +44,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_real_scheduler_killed_in_the_middle_loses_nothing(tmp_path: Path):
     out = tmp_path / "out"
     address = f"tcp://127.0.0.1:{free_port()}"
@@ -79,7 +82,7 @@ echo "Submitted batch job $!"
 
 @pytest.mark.slow
 def test_the_slurm_script_runs_where_jobs_are_processes(tmp_path: Path):
-    pytest.importorskip("dask_jobqueue")
+    needs("dask_jobqueue")
     for name, text in (("sbatch", SBATCH), ("scancel", '#!/bin/sh\nkill "$@"\n')):
         command = tmp_path / "bin" / name
         command.parent.mkdir(exist_ok=True)
@@ -122,7 +125,7 @@ def test_what_a_user_can_mend_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_what_goes_into_a_job_script_is_quoted():
-    pytest.importorskip("dask_jobqueue")
+    needs("dask_jobqueue")
     script = [sys.executable, TESTS.parent / "scripts" / "slurm.py", "batch", "-o", "out", "--dry-run", "--queue"]
     done = subprocess.run([*script, "a b; touch x"], capture_output=True, text=True, timeout=120)
     assert "#SBATCH -p 'a b; touch x'\n" in done.stdout, done.stderr

@@ -73,6 +73,7 @@ def test_two_runs_into_one_folder_share_the_work(tmp_path: Path):
     assert leftovers(out) == []
 
 
+@pytest.mark.slow
 def test_a_run_takes_over_what_another_one_dies_of(tmp_path: Path):
     out = tmp_path / "out"
     spoil(out, "scene-00000", "hang writing")

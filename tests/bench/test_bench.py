@@ -314,7 +314,8 @@ def used(output: str, friction: float) -> dict[str, list[str]]:
     return found
 
 
-@pytest.mark.parametrize("output", ["force", "stress", "markers"])
+@pytest.mark.slow
+@pytest.mark.parametrize("output", ["force", "markers", "stress"])
 def test_outputs_that_are_not_asked_for_are_not_imported(output: str) -> None:
     found = used(output, 0)
     asked = UNASKED.get(output, set())
@@ -324,6 +325,7 @@ def test_outputs_that_are_not_asked_for_are_not_imported(output: str) -> None:
     assert set(found["packages"]) <= ALWAYS
 
 
+@pytest.mark.slow
 def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
     """Modules that are loaded anyway do nothing: without friction no anchor is dragged, and no mesh is one of tets."""
     without, rubbing = (set(used("force", friction)["ran"]) for friction in (0, 0.5))
@@ -387,6 +389,7 @@ def test_the_summary_of_a_frame_names_every_stage(tmp_path: Path) -> None:
     assert "| GB of a million frames, force, rgb | DIGIT 3000 |" in told
 
 
+@pytest.mark.slow
 def test_a_frame_is_timed_by_stage_and_output_and_weighed_by_dataset() -> None:
     found = results_page.in_own_process(
         "benchmarks.pipeline:made", "gelsight_mini", pipeline.SMOKE, "traction", pipeline.FEW

@@ -78,6 +78,7 @@ def unit() -> MiniUnit:
     return MiniUnit("another", compared.flat, presses, tuple(np.zeros(SHAPE, bool) for _ in presses))
 
 
+@pytest.mark.slow
 def test_a_wrong_file_is_told_from_noise(unit: MiniUnit) -> None:
     one = tiny()
     clean, noisy, grainy, found, moved, real, *_ = normal_errors.sources(one, unit)

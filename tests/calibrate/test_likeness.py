@@ -16,6 +16,14 @@ FINE = {"mm_per_px": 0.1, "width_px": 80, "height_px": 64}
 CIRCLES = ((3.0, (30.0, 28.0), 15.0), (2.5, (52.0, 40.0), 12.0), (3.0, (45.0, 20.0), 13.0))
 
 
+@pytest.fixture(scope="module", autouse=True)
+def one_network():
+    """One instead of several."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(normal_net, "MEMBERS", 1)
+        yield
+
+
 @pytest.fixture(scope="module")
 def compared():
     return likeness.Comparison(sensor(camera=FINE, markers=None))
@@ -32,22 +40,27 @@ def unit(compared):
     return renderer.develop(renderer.flat()), presses, faces
 
 
-def test_pictures_of_the_sensor_itself_are_alike(compared, unit):
+@pytest.fixture(scope="module")
+def alike(compared, unit):
+    """How like the sensor's own pictures are."""
     untouched, presses, faces = unit
-    found = compared.likeness(presses, faces, untouched)
-    assert found.contrast == pytest.approx(1.0, abs=1e-9)
-    assert found.direction == pytest.approx(0.0, abs=1e-6)
-    assert found.correlation == pytest.approx(1.0, abs=1e-9)
-    assert found.normals < 3 < 15 < found.flat
-    assert found.noisy == pytest.approx(found.normals, abs=1e-9)  # this camera has no noise
+    return compared.likeness(presses, faces, untouched)
 
 
-def test_half_the_change_is_reported(compared, unit):
+def test_pictures_of_the_sensor_itself_are_alike(alike):
+    assert alike.contrast == pytest.approx(1.0, abs=1e-9)
+    assert alike.direction == pytest.approx(0.0, abs=1e-6)
+    assert alike.correlation == pytest.approx(1.0, abs=1e-9)
+    assert alike.normals < 3 < 15 < alike.flat
+    assert alike.noisy == pytest.approx(alike.normals, abs=1e-9)  # this camera has no noise
+
+
+def test_half_the_change_is_reported(compared, unit, alike):
     untouched, presses, faces = unit
     weak = [replace(p, picture=(untouched + 0.5 * (p.picture.astype(float) - untouched))) for p in presses]
     found = compared.likeness(weak, faces, untouched)
     assert found.contrast == pytest.approx(2.0, rel=0.02)
-    assert found.normals > 2 * compared.likeness(presses, faces, untouched).normals
+    assert found.normals > 2 * alike.normals
     assert found.noisy < found.normals / 2
 
 
@@ -69,6 +82,7 @@ def test_a_network_learns_a_plain_function(monkeypatch):
     assert off() > 5 * learnt
 
 
+@pytest.mark.slow
 def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
     """The decay by press: with that of 192 presses, a network of five finds them better, and others worse."""
     monkeypatch.setattr(normal_net, "STEPS", 300)
@@ -85,6 +99,7 @@ def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
     assert loose[1] > 1.2 * held[1]
 
 
+@pytest.mark.slow
 def test_noise_in_training_makes_the_network_smooth(monkeypatch):
     """Normals that turn to and fro within few counts are learnt as their mean, which bears a colour that is off."""
     monkeypatch.setattr(normal_net, "STEPS", 300)

@@ -87,7 +87,7 @@ def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.
     return fit_unit.fit(fit_unit.optics(view, pictures, dents, rich=False), pictures, dents, gauge)
 
 
-@pytest.mark.parametrize("thick", [2.4, 3.7])
+@pytest.mark.parametrize("thick", [2.4, pytest.param(3.7, marks=pytest.mark.slow)])
 def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(unit: LitSensor, thick: float) -> None:
     found = fitted(unit, thick)
     assert found.thickness.value == pytest.approx(thick, rel=0.08)

@@ -26,6 +26,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
     monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
     monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.MEMBERS", 1)
 
 
 def calibrate(folder: Path, unit: Any, *options: str) -> Any:
@@ -65,6 +66,7 @@ def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(cou
     assert not replace(one, likeness=(after, before)).better
 
 
+@pytest.mark.slow
 def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A judging fit from which no press is left out is the written one."""
     monkeypatch.setattr(clear_fits, "RIDGES", (30.0, 3.0))
@@ -73,8 +75,8 @@ def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypa
     read = photos.read(photographed(unit, tmp_path / "unit", PRESSES[:2]), file.camera)
     faces = [press_faces.face(file, press, {}) for press in read.presses]
     trial = clear_fits.Fits(file, read, faces, Tolerance(0.5, 0.1), bare=True)
-    _, (_, (judging,)) = trial.judged([[]], 2)
-    assert trial.whole(3.0, 2).sensor == judging
+    _, (_, (judging,)) = trial.judged([[]], 1)
+    assert trial.whole(3.0, 1).sensor == judging
 
 
 def test_worse_scores_are_told_before_and_after() -> None:

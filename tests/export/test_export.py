@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from helpers.needs import needs
 from helpers.synthetic import write
 from typer.testing import CliRunner
 
@@ -93,7 +94,7 @@ def test_vtkhdf_gives_the_same_bytes_twice(source: Path, vtkhdf: Path, tmp_path:
 
 def test_vtk_reads_every_step(vtkhdf: Path, source: Path) -> None:
     """Points, cells, displacement, and both stresses with VTK's own names of the components."""
-    pytest.importorskip("vtk")
+    needs("vtk")
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkIOHDF import vtkHDFReader
 

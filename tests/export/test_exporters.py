@@ -11,7 +11,8 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from helpers.export_scenes import FRAMES, SENSOR, SHAPE, real
+from helpers.export_scenes import FRAMES, SENSOR, SHAPE, needs_package_of, real
+from helpers.needs import needs
 from helpers.synthetic import OUTPUTS, attributes, frame, image, states, write
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -94,7 +95,7 @@ def test_univtac_reads_images_markers_depths_and_poses(folder: Path, scene: Bund
 
 
 def test_opencv_sees_the_colours_it_was_given():
-    cv2 = pytest.importorskip("cv2")
+    cv2 = needs("cv2")
     image = np.zeros((1, 16, 16, 3), np.uint8)
     image[..., 0] = 200
     (stream,) = univtac.streams(image)
@@ -102,7 +103,7 @@ def test_opencv_sees_the_colours_it_was_given():
 
 
 def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, tmp_path: Path):
-    webdataset = pytest.importorskip("webdataset")
+    webdataset = needs("webdataset")
     made = export.export("webdataset", folder, tmp_path / "one")
     assert made[0].name == "train-000000.tar"
     with warnings.catch_warnings():
@@ -130,16 +131,23 @@ def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, t
         assert {member.mtime for member in tar} == {0}
 
 
-def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path, scene: Bundle, tmp_path: Path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    export.export("lerobot", folder, tmp_path)
-    info = json.loads((tmp_path / "meta" / "info.json").read_text())
+@pytest.fixture(scope="module")
+def tables(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both scenes as a LeRobot data set."""
+    needs("pyarrow")
+    export.export("lerobot", folder, out := tmp_path_factory.mktemp("lerobot") / "tables")
+    return out
+
+
+def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path, scene: Bundle, tables: Path):
+    parquet = needs("pyarrow.parquet")
+    info = json.loads((tables / "meta" / "info.json").read_text())
     assert (info["codebase_version"], info["total_episodes"], info["total_frames"]) == ("v3.0", 2, 2 * FRAMES)
-    episodes = parquet.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    episodes = parquet.read_table(tables / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert [(e["dataset_from_index"], e["dataset_to_index"]) for e in episodes] == [(0, FRAMES), (FRAMES, 2 * FRAMES)]
     last = episodes[1]
     path = info["data_path"].format(chunk_index=last["data/chunk_index"], file_index=last["data/file_index"])
-    table = parquet.read_table(tmp_path / path)
+    table = parquet.read_table(tables / path)
     assert set(table.column_names) == set(info["features"])
     rows = table.to_pylist()[last["dataset_from_index"] : last["dataset_to_index"]]
     assert [row["index"] for row in rows] == list(range(FRAMES, 2 * FRAMES))
@@ -169,12 +177,12 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
     for name, feature in info["features"].items():
         if name in ("observation.force", "action", "observation.state"):
             assert table.schema.field(name).type.list_size == feature["shape"][0]
-    stats = json.loads((tmp_path / "meta" / "stats.json").read_text())
+    stats = json.loads((tables / "meta" / "stats.json").read_text())
     force = np.concatenate([bundle["/frames/force"] for bundle in export.bundles(folder)])
     assert stats["observation.force"]["mean"] == pytest.approx(force.mean(0), rel=1e-5)
     assert np.shape(stats["observation.images.tactile"]["std"]) == (3, 1, 1)
     assert last["stats/observation.force/count"] == [FRAMES]
-    tasks = parquet.read_table(tmp_path / "meta" / "tasks.parquet")
+    tasks = parquet.read_table(tables / "meta" / "tasks.parquet")
     assert tasks.to_pylist() == [{"task_index": 0, "task": task(scene)}]
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
@@ -186,13 +194,12 @@ def test_the_task_tells_the_movements_and_none_of_the_labels(scene: Bundle) -> N
 
 
 def test_lerobot_names_touch_as_planned_there_and_the_forces_of_cells_sum_to_the_force(
-    folder: Path, scene: Bundle, tmp_path: Path
+    scene: Bundle, tables: Path
 ) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    export.export("lerobot", folder, tmp_path)
-    features = json.loads((tmp_path / "meta/info.json").read_text())["features"]
+    parquet = needs("pyarrow.parquet")
+    features = json.loads((tables / "meta/info.json").read_text())["features"]
     assert features["observation.tactile.wrench"]["names"][2:5] == ["z_n", "torque_x_n_mm", "torque_y_n_mm"]
-    row = parquet.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()[FRAMES + 9]
+    row = parquet.read_table(tables / "data/chunk-000/file-000.parquet").to_pylist()[FRAMES + 9]
     force, torque = scene.frame("/frames/force", 9), scene.frame("/frames/torque", 9)
     assert row["observation.tactile.wrench"] == pytest.approx([*force, *torque], rel=1e-6)
     cells = np.reshape(row["observation.tactile.force"], (12, 16, 3))
@@ -239,7 +246,7 @@ def splits_of(folder: Path) -> dict[str, list[int]]:
 def test_lerobot_has_the_splits_of_the_data_set_both_fingers_and_the_frames_that_both_have(
     many: Path, tmp_path: Path
 ) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = needs("pyarrow.parquet")
     with pytest.warns(LeftOut, match="left out scene-00003-L: not on all of left, right"):
         export.export("lerobot", many, tmp_path / "out")
     info = json.loads((tmp_path / "out/meta/info.json").read_text())
@@ -255,7 +262,7 @@ def test_lerobot_has_the_splits_of_the_data_set_both_fingers_and_the_frames_that
 
 
 def test_webdataset_has_the_splits_of_the_data_set_and_both_fingers_in_a_sample(many: Path, tmp_path: Path) -> None:
-    pytest.importorskip("webdataset")
+    needs("webdataset")
     with pytest.warns(LeftOut, match="left out scene-00003-L"):
         exported = export.export("webdataset", many, tmp_path / "out")
     made = {path.name: path for path in exported if path.suffix == ".tar"}
@@ -282,7 +289,7 @@ def test_webdataset_has_the_splits_of_the_data_set_and_both_fingers_in_a_sample(
 
 def test_lerobot_has_an_episode_for_each_contact_on_several_sensors(tmp_path: Path) -> None:
     """In pictures of their own sizes; a contact that one of the sensors lacks is left out."""
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = needs("pyarrow.parquet")
     for i in range(5):
         known = {"scene_index": i, "pair": i // 2, "sensor": ("digit", "mini")[i % 2]}
         write(tmp_path / "in" / f"scene-{i:05d}.h5", shape=((48, 64), (60, 40))[i % 2], **known,
@@ -308,7 +315,7 @@ def test_lerobot_has_an_episode_for_each_contact_on_several_sensors(tmp_path: Pa
 
 def test_lerobot_has_an_episode_for_both_fingers_of_a_grasp(tmp_path: Path) -> None:
     """Of the same sensor, and features named by the finger; a finger alone is left out."""
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = needs("pyarrow.parquet")
     for i in range(5):
         finger = {"scene_index": i // 2, "finger": ("left", "right")[i % 2], "sensor": "digit"}
         write(tmp_path / "in" / f"scene-{i // 2:05d}-{'LR'[i % 2]}.h5", shape=(48, 64), edit=real, **finger,
@@ -329,24 +336,23 @@ def test_lerobot_has_an_episode_for_both_fingers_of_a_grasp(tmp_path: Path) -> N
     assert task == "Press the object into the sensor, then slide, hold and twist it."
 
 
-def test_lerobot_depth_is_16_bit_in_micrometres(folder: Path, scene: Bundle, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    export.export("lerobot", folder, tmp_path)
-    feature = json.loads((tmp_path / "meta/info.json").read_text())["features"]["observation.images.tactile_depth"]
+def test_lerobot_depth_is_16_bit_in_micrometres(scene: Bundle, tables: Path) -> None:
+    parquet = needs("pyarrow.parquet")
+    feature = json.loads((tables / "meta/info.json").read_text())["features"]["observation.images.tactile_depth"]
     assert (feature["dtype"], feature["shape"]) == ("image", [60, 80, 1])
     assert feature["info"] == {"is_depth_map": True, "depth_unit": "um"}
-    rows = parquet.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()
+    rows = parquet.read_table(tables / "data/chunk-000/file-000.parquet").to_pylist()
     for k in range(FRAMES):
         picture = Image.open(io.BytesIO(rows[FRAMES + k]["observation.images.tactile_depth"]["bytes"]))
         assert picture.mode == "I;16"
         pressed = np.maximum(scene["/reference/height"] - scene.frame("/frames/height", k), 0)
         assert np.asarray(picture) / 1000 == pytest.approx(pressed, abs=5.1e-4)
-    stats = json.loads((tmp_path / "meta/stats.json").read_text())["observation.images.tactile_depth"]
+    stats = json.loads((tables / "meta/stats.json").read_text())["observation.images.tactile_depth"]
     assert np.shape(stats["mean"]) == (1, 1, 1)
 
 
 def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = needs("pyarrow.parquet")
     monkeypatch.setattr(lerobot, "FILE_BYTES", 1000)
     monkeypatch.setattr(lerobot, "FILES", 1)
     export.export("lerobot", folder, tmp_path)
@@ -364,7 +370,7 @@ def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, mo
     ],
 )
 def test_lerobot_takes_one_even_rate_and_writes_nothing_else(times: list[np.ndarray], says: str, tmp_path: Path):
-    pytest.importorskip("pyarrow")
+    needs("pyarrow")
     for k, time in enumerate(times):
         write(tmp_path / "in" / f"scene-{k:05d}.h5", outputs=frozenset({"rgb"}),
               edit=lambda i, arrays, t=time: arrays.update({"/frames/time": t[i]}))  # fmt: skip
@@ -374,7 +380,7 @@ def test_lerobot_takes_one_even_rate_and_writes_nothing_else(times: list[np.ndar
 
 
 def test_lerobot_itself_loads_it(folder: Path, scene: Bundle, tmp_path: Path):
-    module = pytest.importorskip("lerobot.datasets.lerobot_dataset", exc_type=ImportError)
+    module = needs("lerobot.datasets.lerobot_dataset")
     export.export("lerobot", folder, tmp_path)
     data = module.LeRobotDataset("tacgen/synthetic", root=tmp_path)
     item = data[FRAMES + 7]
@@ -386,7 +392,7 @@ def test_lerobot_itself_loads_it(folder: Path, scene: Bundle, tmp_path: Path):
 
 
 def test_lerobot_depth_stays_within_the_15_bits_that_its_reader_gives(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = needs("pyarrow.parquet")
 
     def deep(index: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/height"][3, 4] = -40.0
@@ -409,11 +415,15 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("kind", ["feats", "lerobot", "univtac", "webdataset", "sparsh", "feelanyforce", "zarr"])
+@pytest.mark.parametrize(
+    "kind",
+    ["lerobot", "univtac", "webdataset", "zarr"]
+    + [pytest.param(kind, marks=pytest.mark.slow) for kind in ("feats", "sparsh", "feelanyforce")],
+)
 def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacking(
     few: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ):
-    pytest.importorskip("zarr" if kind == "zarr" else "numpy")
+    needs_package_of(kind)
     few = few / ("long" if kind == "sparsh" else "short")
     packed = pack.pack(dataset.scenes(few), tmp_path / "packed").folder
     loose = [path.read_bytes() for path in export.export(kind, few, tmp_path / "a")]

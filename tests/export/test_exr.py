@@ -5,6 +5,7 @@ from io import FileIO
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from helpers import whole_bundle
 from helpers.small_recipe import PICTURE
@@ -19,7 +20,6 @@ from tacgen.optics import camera_response
 from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import plan
 
-OpenEXR = pytest.importorskip("OpenEXR")
 RECIPE = f"{PICTURE}outputs: [rgb, radiance, height, normals, material]\n"
 
 

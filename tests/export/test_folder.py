@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.export_scenes import SENSOR, SHAPE, real
+from helpers.export_scenes import SENSOR, SHAPE, needs_package_of, real
 from helpers.killing import DISK, calls
 from helpers.synthetic import OUTPUTS, write
 
 from tacgen.errors import UserError
 from tacgen.export import EXPORTERS, export
-
-PACKAGES = {"exr": "OpenEXR", "lerobot": "pyarrow", "webdataset": "webdataset", "zarr": "zarr", "rerun": "rerun"}
 
 
 def scene(folder: Path, number: int, frames: int) -> Path:
@@ -42,7 +40,7 @@ def content(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("kind", EXPORTERS)
 def test_nothing_of_an_earlier_and_larger_export_stays(data: Path, tmp_path: Path, kind: str) -> None:
-    pytest.importorskip(PACKAGES.get(kind, "h5py"))
+    needs_package_of(kind)
     data = data / "long" if kind == "sparsh" else data
     export(kind, data / "one", tmp_path / "fresh")
     export(kind, data / "two", tmp_path / "used")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import whole_bundle
 from helpers.export_scenes import FRAMES
+from helpers.needs import needs
 
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.export import export
@@ -16,7 +17,7 @@ from tacgen.optics.camera import PinholeCamera
 
 def rows(path: Path) -> dict[tuple[str, bool], dict[str, list[Any]]]:
     """Entity, and whether its data stand for all times -> name of a column -> its values."""
-    chunk = pytest.importorskip("rerun.chunk")
+    chunk = needs("rerun.chunk")
     found: dict[tuple[str, bool], dict[str, list[Any]]] = {}
     for part in chunk.RrdReader(str(path)).stream().to_chunks():
         columns = found.setdefault((part.entity_path, part.is_static), {})
@@ -26,7 +27,7 @@ def rows(path: Path) -> dict[tuple[str, bool], dict[str, list[Any]]]:
 
 
 def test_its_reader_finds_images_maps_wrench_and_face(folder: Path, scene: Bundle, tmp_path: Path) -> None:
-    pytest.importorskip("rerun")
+    needs("rerun")
     (made,) = export("rerun", folder / "scene-00001.h5", tmp_path / "scene.rrd")
     found = rows(made)
     assert found["/camera", False]["EncodedImage:media_type"][0] == ["image/png"]
@@ -49,7 +50,7 @@ def test_its_reader_finds_images_maps_wrench_and_face(folder: Path, scene: Bundl
 
 
 def test_times_are_a_timeline_of_their_own(tmp_path: Path) -> None:
-    pytest.importorskip("rerun")
+    needs("rerun")
     whole_bundle.write(tmp_path / "in" / "scene.h5")
     (made,) = export("rerun", tmp_path / "in", tmp_path / "out")
     assert made == tmp_path / "out" / "scene.rrd"
@@ -83,8 +84,8 @@ def test_the_face_with_a_mesh_is_its_facets_moved(tmp_path: Path) -> None:
 
 
 def test_its_reader_of_lerobot_data_sets_takes_our_export(folder: Path, scene: Bundle, tmp_path: Path) -> None:
-    readers = pytest.importorskip("rerun.experimental")
-    pytest.importorskip("pyarrow")
+    readers = needs("rerun.experimental")
+    needs("pyarrow")
     export("lerobot", folder, tmp_path / "out")
     reader = readers.LeRobotReader(str(tmp_path / "out"))
     assert list(reader.episodes()) == [0, 1]

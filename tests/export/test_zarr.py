@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.export_scenes import FRAMES
+from helpers.needs import needs
 from helpers.synthetic import write
 
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.export import export
 
-zarr = pytest.importorskip("zarr")
+zarr = needs("zarr")
 
 
 def buffer(folder: Path) -> dict[str, dict[str, np.ndarray]]:

@@ -55,12 +55,13 @@ def omega(axis: int) -> float:
     return float(np.pi / (2 * HEIGHT) * np.sqrt(modulus / DENSITY))
 
 
-@pytest.mark.parametrize("axis", [0, 2])
-@pytest.mark.parametrize(("alpha", "beta"), [(0.0, 0.0), (300.0, 0.0), (0.0, 2e-4), (300.0, 2e-4)])
+@pytest.mark.parametrize(
+    ("axis", "alpha", "beta"), [(0, 0.0, 0.0), (0, 300.0, 0.0), (0, 0.0, 2e-4), (2, 0.0, 0.0), (2, 300.0, 2e-4)]
+)
 def test_a_column_swings_as_implicit_euler_makes_it(axis: int, alpha: float, beta: float) -> None:
     """A mode with c = alpha + beta w^2 goes by x_n+1 (1 + h c + h^2 w^2) = (2 + h c) x_n - x_n-1."""
     w, h = omega(axis), 0.15 / omega(axis)
-    top, _ = swing(axis, h, 30, alpha, beta)
+    top, _ = swing(axis, h, 20, alpha, beta)
     (a, b), *_ = np.linalg.lstsq(np.stack([top[1:-1], -top[:-2]], 1), top[2:], rcond=None)
     c = alpha + beta * w**2
     whole_step = 1 + h * c + (h * w) ** 2
@@ -81,7 +82,7 @@ def test_the_error_falls_with_the_step_at_first_order() -> None:
 
 @pytest.mark.parametrize("h", [1e-5, 3e-4, 1e-2])
 def test_energy_never_grows(h: float) -> None:
-    _, energy = swing(0, h, 25)
+    _, energy = swing(0, h, 12)
     rounding = 1e-16  # [N mm] the energy at rest comes out as up to 2e-17, a millionth of what is let go
     assert (np.diff(energy) <= rounding).all()
     assert energy[1] < (1 - 1e-5) * energy[0]

@@ -117,7 +117,7 @@ def surface(shape: Shape, seed: int) -> Array:
     return np.asarray(p[np.abs(shape.distance(p)[0]) < 1e-9])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(shape=SHAPES, seed=SEED, down=between(0, np.pi), around=between(0, 2 * np.pi))
 @example(shape=SPHERE, seed=0, down=0.0, around=0.0)
 def test_support_is_how_far_it_extends(shape: Shape, seed: int, down: float, around: float) -> None:

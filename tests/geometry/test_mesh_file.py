@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.meshes import ball, box, cells, saved
+from helpers.needs import needs
 from helpers.program import loaded
 
 from tacgen.errors import UserError
@@ -54,7 +55,7 @@ def holed() -> trimesh.Trimesh:
 
 
 def test_what_trimesh_cannot_repair_is_repaired_by_meshlab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    pytest.importorskip("pymeshlab")
+    needs("pymeshlab")
     path = saved(holed(), tmp_path / "torn.stl")
     found = mesh_file.read(path)
     assert_whole(found, ball(3).volume)

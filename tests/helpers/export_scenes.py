@@ -4,11 +4,19 @@ from typing import Any
 
 import numpy as np
 
+from helpers.needs import needs
 from tacgen.recipe import assets, loading
 
 SENSOR = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].model_dump(mode="json", exclude_none=True)
 SHAPE = (240, 320)
 FRAMES = 12
+PACKAGES = {"lerobot": "pyarrow", "webdataset": "webdataset", "zarr": "zarr", "rerun": "rerun"}
+
+
+def needs_package_of(kind: str) -> None:
+    """Skip where the package that writes this kind of export is missing."""
+    if kind in PACKAGES:
+        needs(PACKAGES[kind])
 
 
 def real(index: int, arrays: dict[str, Any]) -> None:

@@ -147,7 +147,7 @@ def inputs(folder: Path) -> Path:
     return folder
 
 
-def _inputs(folder: Path) -> None:
+def read_inputs(folder: Path) -> None:
     """Validate the recipe; read the meshes that it does not name as well."""
     from tacgen.geometry import mesh_import
 
@@ -228,8 +228,8 @@ def _card(folder: Path) -> None:
 
 
 def warm(source: Path) -> None:
-    """Every reader once in this process, so that no child has to import what it reads with."""
-    for reader in READERS:
+    """Every reader once in this process, but of the drawn fields one, so that no child has to import anything."""
+    for reader in [name for name in READERS if name not in [f"show {field}" for field in list(FIELDS)[1:]]]:
         with tempfile.TemporaryDirectory() as scratch, redirect_stdout(io.StringIO()), suppress(UserError):
             shutil.copytree(source / "whole", Path(scratch) / "whole")
             READERS[reader](Path(scratch) / "whole")
@@ -275,7 +275,7 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
 
 def _read(reader: str, folder: Path, wanted: Content | None) -> str:
     """What is no longer what it was is wrong, unless `check` says so."""
-    ({**READERS, "inputs": _inputs, "logs": _logs})[reader](folder)
+    ({**READERS, "inputs": read_inputs, "logs": _logs})[reader](folder)
     if wanted is not None and reader == "check":
         try:
             found = Content.of(folder)

@@ -50,10 +50,14 @@ CLOCKED = "frames.h5"  # holds the time
 LOG = "made.log"  # of the stand-in for a scene's work, not of tacgen
 
 
+def work(seed: int) -> str:
+    """Which of WORKS `kill` kills."""
+    return Random(f"which {seed}").choice(sorted(WORKS))
+
+
 def kill(seed: int, source: Path) -> Attempt:
     """Kill one of WORKS at one of its calls to the disk, run it again, and compare."""
-    rng = Random(f"kill {seed}")
-    name = rng.choice(sorted(WORKS))
+    rng, name = Random(f"kill {seed}"), work(seed)
     with tempfile.TemporaryDirectory() as scratch:
         here, note = Path(scratch) / "here", Path(scratch) / "note"
         here.mkdir()

@@ -26,6 +26,12 @@ READERS: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.fixture(scope="module", autouse=True)
+def warm(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Read sound files in this process, so that no child has to import what it reads with."""
+    attempts.read_inputs(attempts.inputs(tmp_path_factory.mktemp("sound")) / "inputs")
+
+
 def outcome(work: Callable[[], object], tmp_path: Path) -> str:
     """How a child with a bounded memory ends, with what it raised."""
     note = tmp_path / "note"

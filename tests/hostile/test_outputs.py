@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.export_scenes import SENSOR, SHAPE, real
+from helpers.needs import needs
 from helpers.scenes import make_plan
 from helpers.small_recipe import BALL
 from helpers.synthetic import OUTPUTS, attributes, write
@@ -301,7 +302,7 @@ ODD = "run 50% %d a:b [a]{b}*? #c?d $\\bad$ ~ \N{GRINNING FACE} two\nlines"
 
 @pytest.mark.parametrize("kind", EXPORTERS)
 def test_exports_go_to_folders_of_any_name(scenes: Path, kind: str) -> None:
-    pytest.importorskip(PACKAGES.get(kind, "h5py"))
+    needs(PACKAGES.get(kind, "h5py"))
     made = export(kind, scenes / "scene-00000.h5", Path("out", ODD))
     assert all(path.is_file() for path in made)
     assert os.listdir("out") == [ODD]

@@ -47,7 +47,11 @@ def alike(one: list[State], two: list[State], tol: float) -> None:
             assert np.linalg.norm(a.friction - b.friction) < 20 * tol * np.linalg.norm(a.friction)
 
 
-@pytest.mark.parametrize("shape", [SphereSdf(2.5), CylinderSdf(1.2, 0.4)], ids=lambda shape: type(shape).__name__)
+@pytest.mark.parametrize(
+    "shape",
+    [CylinderSdf(1.2, 0.4), pytest.param(SphereSdf(2.5), marks=pytest.mark.slow)],
+    ids=lambda shape: type(shape).__name__,
+)
 def test_the_answer_is_that_of_the_oracle_in_fewer_factorisations(shape: Shape) -> None:
     """Steps begin from the gel left behind in both: what is predicted says where new points first touch."""
     oracle = replace(plain(), step_tol=3e-4, residual_tol=1e-7)

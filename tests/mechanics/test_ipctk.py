@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 from helpers.small import dense, patch, slope, turn
 
 from tacgen.fem.elements import facet_corners
@@ -14,7 +15,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.ipctk import NODES, MeshContact, MeshFriction, Pair, lattice
 
-ipctk = pytest.importorskip("ipctk")
+ipctk = needs("ipctk")
 Array = np.ndarray
 DHAT = 0.3
 POINTS, FACES, PATTERN = patch(4, 1.2)

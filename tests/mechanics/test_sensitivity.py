@@ -84,6 +84,7 @@ def test_with_friction_they_follow_the_path(substeps: bool) -> None:
         assert np.linalg.norm(found[name] - value) < 0.01 * np.linalg.norm(value), name
 
 
+@pytest.mark.slow
 def test_they_follow_frames_that_press_deep_with_the_usual_tolerances() -> None:
     """0.4 mm a frame: many points first touch within one, where the predictor says."""
     row = small_recipe.row(PRESS, "contact.friction=0.6")

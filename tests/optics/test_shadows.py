@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.tiny import PLAIN, sensor
+from numba import typeof
 
 from tacgen.optics import coating, strip_light, strip_light_table
 from tacgen.optics.adaptive_sampling import SamplingTolerance
@@ -136,11 +137,12 @@ def test_heights_are_0_where_there_is_no_gel():
 def test_the_box_of_what_casts_shadows_loses_none():
     rng, size = np.random.default_rng(5), (9.0, 12.0)
     y, x = np.mgrid[-6:6:121j, -4.5:4.5:91j]
-    shaded = 0
+    shaded, types = 0, set()
     for middle in ((0.0, 0.0), (2.0, -3.0), (-4.0, 5.5)):  # the last at the grid's corner
         dent = -0.8 * np.exp(-((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / 0.5)
         terrain = Terrain.of(dent, size, np.zeros_like(dent))
         everywhere = terrain._replace(box=(-np.inf, np.inf, -np.inf, np.inf))
+        types |= {typeof(terrain), typeof(everywhere)}
         for k in range(1500):
             row, column, turn = rng.integers(0, 121), rng.integers(0, 91), rng.uniform(0, 2 * np.pi)
             ray = (x[row, column], y[row, column], dent[row, column], np.cos(turn), np.sin(turn), rng.uniform(1, 15))
@@ -149,6 +151,7 @@ def test_the_box_of_what_casts_shadows_loses_none():
             assert found == pytest.approx(horizon(everywhere, *ray, asked, asked), rel=1e-12)
             shaded += found < asked[1]
     assert shaded > 300
+    assert len(types) == 1  # else what draws pictures is compiled for each place of a dent
 
 
 def test_horizons_of_the_untouched_face_are_tabulated_and_go_on_linearly_above_it():

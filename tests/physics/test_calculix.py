@@ -49,20 +49,21 @@ def maps(row: Row, press: Run) -> Maps:
     return maps_of(press.problem, press.face.moved(state.x), state, PinholeCamera.from_sensor(row.sensor))
 
 
-def test_force_wherever_the_sphere_sits_in_a_cell(row: Row, press: Run) -> None:
-    found = [-press.forces[-1, 2]] + [-solved(row, shift).forces[-1, 2] for shift in ((0.5, 0.0), (0.3, 0.5))]
-    assert found == pytest.approx([1.0] * 3, abs=0.015)
+def test_force_wherever_the_sphere_sits_in_a_cell(press: Run) -> None:
+    found = [-press.forces[-1, 2], -solved(resolved(frames=1), (0.3, 0.5)).forces[-1, 2]]
+    assert found == pytest.approx([1.0] * 2, abs=0.015)
     assert np.ptp(found) < 0.005
 
 
 def test_force_with_friction() -> None:
     """CalculiX is 1.1 % sure of it; here it falls to 1.070 N on a mesh of .25 mm, and gains .3 % by 10 frames."""
-    forces = solved(resolved("contact.friction=0.6", frames=10)).forces
+    forces = solved(resolved("contact.friction=0.6", frames=5)).forces
     assert -forces[-1, 2] == pytest.approx(1.087, rel=0.015)
     assert np.abs(forces[-1, :2]).max() < 2e-3
     assert (np.diff(-forces[:, 2], prepend=0) > 0).all()
 
 
+@pytest.mark.slow
 def test_force_of_a_smaller_sphere_on_a_softer_gel() -> None:
     row = resolved("indenter.radius_mm=3", depth=0.8, E=0.1, nu=0.49)
     assert -solved(row).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)

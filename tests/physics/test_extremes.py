@@ -21,6 +21,7 @@ SLOW = {
     "needle",
     "punch jumps across the pad",
     "punch three quarters deep",
+    "skin of 0.1 mm",
     "skin softer 1000:1",
     "skin of 0.1 mm, stiffer 1000:1",
     "three quarters deep, nu 0.4999",
@@ -76,7 +77,7 @@ DRAWN = np.random.default_rng(11).random((10, MILD))  # not hypothesis's, which 
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("i", [*range(2), *(pytest.param(i, marks=pytest.mark.slow) for i in range(2, len(DRAWN)))])
+@pytest.mark.parametrize("i", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in range(1, len(DRAWN)))])
 def test_random_scenes_end_well(i: int) -> None:
     found = stability.measure("random", cases.random([*DRAWN[i], *[0.0] * (cases.RANDOM - MILD)]))
     sound(found)

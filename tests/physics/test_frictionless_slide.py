@@ -37,6 +37,7 @@ def test_a_slide_without_friction_has_no_drag_and_a_constant_normal_force(
     assert normal < spread
 
 
+@pytest.mark.slow
 def test_the_error_decreases_with_the_mesh() -> None:
     """Measured from 0.6 to 0.36 mm: by factors of 3.2 and 3.9."""
     coarse, fine = errors(BALL, 0.6, 4), errors(BALL, 0.36, 4)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import presses, small_recipe
+from helpers.needs import needs
 from helpers.presses import Run, gel, poses, scene
 
 from tacgen import pipeline
@@ -19,7 +20,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import plan, scene_of_row
 
-ipctk = pytest.importorskip("ipctk")
+ipctk = needs("ipctk")
 Array = np.ndarray
 Path3 = list[tuple[float, float, float]]
 
@@ -78,7 +79,7 @@ def test_a_round_edged_box_gives_the_same_force() -> None:
     assert (np.abs(other.forces - one.forces) < 0.01 * size).all()
 
 
-@pytest.mark.parametrize("formulation", ["distance", "ipctk"])
+@pytest.mark.parametrize("formulation", ["distance", pytest.param("ipctk", marks=pytest.mark.slow)])
 def test_a_flat_slide_without_friction_drags_nothing(formulation: str) -> None:
     """A plate wider than the pad, slid by odd amounts."""
     path = [(0.0, 0.0, -0.1), (0.137, 0.061, -0.1), (0.31, -0.05, -0.1)]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from helpers.needs import needs
 from helpers.presses import Run, gel, poses, run, scene
 
 from tacgen.geometry import mesh_file, mesh_import, surface_nets
@@ -55,6 +56,6 @@ def test_a_mesh_indenter() -> None:
 
 @pytest.mark.slow
 def test_contact_between_meshes() -> None:
-    pytest.importorskip("ipctk")
+    needs("ipctk")
     by = 1 / 128
     assert_alike(pressed(1, SphereSdf(2.5), toolkit=True), pressed(by, SphereSdf(2.5 * by), toolkit=True), by, 1e-6)

@@ -41,7 +41,11 @@ def about_z(angle: float) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("shape", "longest", "tol"), [(BoxSdf(3.0, 1.6, 0.3), "slide_sharp", 1e-2), (SphereSdf(4.0), "slide", 2e-3)]
+    ("shape", "longest", "tol"),
+    [
+        (BoxSdf(3.0, 1.6, 0.3), "slide_sharp", 1e-2),
+        pytest.param(SphereSdf(4.0), "slide", 2e-3, marks=pytest.mark.slow),
+    ],
 )
 def test_a_long_frame_goes_in_load_steps_that_friction_can_follow(shape: Shape, longest: str, tol: float) -> None:
     """Slid by more than a cell at once, against frames of .06 of a cell. A box in steps of at most half a cell is .6 %

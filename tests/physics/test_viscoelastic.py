@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import presses
+from helpers.needs import needs
 from helpers.presses import Run, gel, poses
 from helpers.small_recipe import HEAD
 from scipy.interpolate import PchipInterpolator
@@ -97,8 +98,9 @@ def test_the_oracle_agrees() -> None:
     assert fast.forces[:, 2] == pytest.approx(true.forces[:, 2], rel=5e-3)
 
 
+@pytest.mark.slow
 def test_meshes_in_contact_relax_alike() -> None:
-    pytest.importorskip("ipctk")
+    needs("ipctk")
     ball = surface_nets.of_shape(SphereSdf(2.5), half=8.0, height=3.0, tolerance=5e-3)
     one, other = (pressed([-0.2, -0.4, -0.4], [0.01, 0.01, 0.5], surface=surface) for surface in (None, ball))
     fall = [run.forces[2, 2] / run.forces[1, 2] for run in (one, other)]

@@ -121,5 +121,6 @@ def test_drawn_depths_in_metres_are_told_once(tmp_path: Path) -> None:
 
 def test_usual_recipes_have_no_such_warning() -> None:
     for name in assets.list_recipes():
-        told = plan.load(assets.recipe_path(name), [], (0, 7)).warnings
+        few = ["vary.samples=4"] if "\n  samples:" in assets.recipe_path(name).read_text() else []
+        told = plan.load(assets.recipe_path(name), few).warnings
         assert not [line for line in told if "very small" in line], name

@@ -116,7 +116,7 @@ def spread(found: plan.Plan) -> float:
     return float(np.abs(np.triu(r, 1)).max())
 
 
-@pytest.mark.parametrize(("samples", "most"), [(30, 0.15), (256, 0.03), (300, 0.1)])
+@pytest.mark.parametrize(("samples", "most"), [(30, 0.15), pytest.param(256, 0.03, marks=pytest.mark.slow), (300, 0.1)])
 def test_samples_are_spread_evenly_where_no_method_is_named(tmp_path: Path, samples: int, most: float) -> None:
     """Thirty points of Sobol's in nine dimensions correlate two of them by .4."""
     head = BATCH.partition("    indenter")[0].replace("  method: METHOD\n", "")

@@ -25,6 +25,19 @@ def read(text: str) -> Tree:
     return parse(text, Source("r.yaml", tuple(text.splitlines()) or ("",)))
 
 
+def test_a_file_is_parsed_once_and_each_reader_has_data_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("a: {b: 1}")
+    load(path).data["a"]["b"] = 2
+    monkeypatch.setattr("tacgen.sensor.yaml_source.parse", None)
+    assert load(path).data == {"a": {"b": 1}}
+    path.write_text("a: {b: 3}")
+    with pytest.raises(TypeError):
+        load(path)
+
+
 def test_values_are_those_of_yaml_1_2():
     assert read(TEXT).data == {
         "a": 1,

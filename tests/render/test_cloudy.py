@@ -77,6 +77,7 @@ def test_light_that_varies_alone_is_not_traced_again(monkeypatch):
         )
 
 
+@pytest.mark.slow
 def test_leds_that_are_traced_together_are_as_traced_alone(monkeypatch):
     panel = sensor().leds[0].model_dump()
     four = sensor(leds=[{**panel, "center_mm": (x, 0, -4.35), "size_mm": (3, 10)} for x in (-4.5, -1.5, 1.5, 4.5)])
@@ -227,6 +228,7 @@ def test_light_from_the_air_face_is_that_of_leds_just_above_it() -> None:
     assert 5 * noise < 0.05 * np.mean(light)
 
 
+@pytest.mark.slow
 def test_sampling_directions_toward_leds_changes_only_the_noise_of_a_gel_that_scatters(monkeypatch) -> None:
     """They are sampled where no interface refracts: a path that meets such an LED must not count it again."""
     even = panels(-4.3).model_copy(update={"plate": sensor(plate={"refractive_index": 1.41}).plate})
@@ -241,6 +243,7 @@ def test_sampling_directions_toward_leds_changes_only_the_noise_of_a_gel_that_sc
     assert 5 * noise < 0.05 * np.mean(light)
 
 
+@pytest.mark.slow
 def test_roulette_would_add_noise_to_a_gel_that_scatters(monkeypatch) -> None:
     """Mitsuba's ends one path in twenty at each vertex, also paths that carry all their light."""
     base = sensor().gel.layers[0]
@@ -258,6 +261,7 @@ def test_roulette_would_add_noise_to_a_gel_that_scatters(monkeypatch) -> None:
     assert light[1] == pytest.approx(light[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_gel_that_scatters_looks_the_same_by_a_third_of_the_nodes_and_without_normals(monkeypatch) -> None:
     own, fine = mitsuba_path.mesh, Sheet.over(sensor().gel, mitsuba_path.SPACING)
 

@@ -102,6 +102,7 @@ def test_pictures_are_those_of_the_formula(name, monkeypatch):
     assert -10 * np.log10(np.mean(off**2)) > 100  # dB
 
 
+@pytest.mark.slow
 def test_light_of_a_lobe_takes_no_longer_than_even_light():
     """It took six times as long while each ray called Python."""
     seconds = []
@@ -211,6 +212,7 @@ def test_a_rectangle_is_mitsubas_own_without_texture_coordinates() -> None:
     assert made.emitter() is not None
 
 
+@pytest.mark.slow
 def test_texture_coordinates_of_the_face_keep_its_stratified_directions_stratified(monkeypatch) -> None:
     """They turn the frame in which directions are sampled; without, each triangle has a frame of its own."""
     own, noise = mitsuba_path.mesh, []
@@ -219,7 +221,7 @@ def test_texture_coordinates_of_the_face_keep_its_stratified_directions_stratifi
         shapes = tracer._scene.shapes()
         assert {shape.id() for shape in shapes if shape.has_vertex_texcoords()} == ({"face"} if kept else set())
         assert {shape.id() for shape in shapes if shape.has_vertex_normals()} == {"face"}
-        pictures = np.array([tracer.radiance(Untouched(), 256, k) for k in range(4)])
+        pictures = np.array([tracer.radiance(Untouched(), 64, k) for k in range(4)])
         noise.append(np.sqrt(pictures.var(0, ddof=1).mean()))
         monkeypatch.setattr(mitsuba_path, "mesh", lambda *parts, smooth=False: own(*parts[:4], smooth=smooth))
     assert noise[1] > 1.05 * noise[0]

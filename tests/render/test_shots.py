@@ -124,12 +124,12 @@ def made(one: Row, folder: Path, solution: SolvedScene, device: str | None) -> t
 @pytest.mark.parametrize(
     ("sets", "asked"),
     [
-        (["outputs=[rgb, markers]"], ["developed, 0 noises and gains"]),
+        pytest.param(["outputs=[rgb, markers]"], ["developed, 0 noises and gains"], marks=pytest.mark.slow),
         (
             ["outputs=[rgb]", "render.noise=true", DRIFT, "sensor.camera.jpeg_quality=60"],
             ["developed, 6 noises and gains"],
         ),
-        (["outputs=[radiance]"], ["fetched"]),
+        pytest.param(["outputs=[radiance]"], ["fetched"], marks=pytest.mark.slow),
         (["outputs=[radiance, rgb]"], ["fetched", "developed, 0 noises and gains"]),
         (["outputs=[rgb]", "render.noise=true", "render.background={folder}/mine.png"], ["fetched"]),
     ],

@@ -6,6 +6,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 from scipy.spatial.transform import Rotation
 from test_python_examples import loaded
 
@@ -15,7 +16,7 @@ from tacgen.recipe.trajectory import Placement
 from tacgen.replay import log_file, selection
 from tacgen.replay.contact_log import Conventions
 
-mujoco = pytest.importorskip("mujoco")
+mujoco = needs("mujoco")
 Array = np.ndarray
 EXAMPLE = Path(__file__).parents[2] / "examples" / "mujoco"
 TILT = Rotation.from_rotvec([0.3, -1.1, 2.0])  # of everything in the world

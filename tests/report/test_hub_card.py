@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.export_scenes import needs_package_of
+from helpers.needs import needs
 from helpers.synthetic import write
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
@@ -36,11 +38,11 @@ def page(kind: str, source: Path, out: Path, *options: str) -> tuple[dict[str, A
     return YAML(typ="safe").load(head), text
 
 
-@pytest.mark.parametrize(("kind", "package"), [("lerobot", "pyarrow"), ("webdataset", "webdataset"), ("zarr", "zarr")])
+@pytest.mark.parametrize("kind", ["lerobot", "webdataset", "zarr"])
 def test_the_header_tells_licence_size_splits_features_and_where_the_data_are_from(
-    data: Path, tmp_path: Path, kind: str, package: str
+    data: Path, tmp_path: Path, kind: str
 ) -> None:
-    pytest.importorskip(package)
+    needs_package_of(kind)
     head, text = page(kind, data, tmp_path / "out", "--licence", "cc-by-4.0")
     assert (head["license"], head["task_categories"], head["size_categories"]) == ("cc-by-4.0", ["robotics"], ["n<1K"])
     parts = {split: len(TactileDataset(data, ("force",), split=split)) for split in ("train", "val", "test")}
@@ -63,14 +65,14 @@ def test_the_header_tells_licence_size_splits_features_and_where_the_data_are_fr
 
 
 def test_without_a_licence_the_page_says_that_it_is_not_known(data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("webdataset")
+    needs("webdataset")
     head, text = page("webdataset", data, tmp_path / "out")
     assert head["license"] == "unknown"
     assert "Whoever publishes this data chooses its licence" in text
 
 
 def test_both_fingers_count_as_one_example_where_they_are_one_sample(tmp_path: Path) -> None:
-    pytest.importorskip("webdataset")
+    needs("webdataset")
     for finger in ("left", "right"):
         known = {"finger": finger, "sensor": "digit", "input_key": finger}
         write(tmp_path / "in" / f"scene-00000-{finger[0].upper()}.h5", outputs=frozenset({"force", "rgb"}), **known)
@@ -79,7 +81,7 @@ def test_both_fingers_count_as_one_example_where_they_are_one_sample(tmp_path: P
 
 
 def test_several_data_sets_have_one_page(data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("webdataset")
+    needs("webdataset")
     for name in ("a", "b"):
         write(tmp_path / "in" / name / "scene-00000.h5", outputs=frozenset({"force", "rgb"}), input_key=name)
     head, text = page("webdataset", tmp_path / "in", tmp_path / "out", "--merge")
@@ -91,7 +93,7 @@ def test_several_data_sets_have_one_page(data: Path, tmp_path: Path) -> None:
 def test_the_card_of_the_data_set_goes_with_the_export_and_a_strangers_text_does_not(
     data: Path, tmp_path: Path
 ) -> None:
-    pytest.importorskip("webdataset")
+    needs("webdataset")
     export("webdataset", data, tmp_path / "out")
     assert (tmp_path / "out" / "README.md").read_bytes() == (data / "README.md").read_bytes()
     write(tmp_path / "other" / "scene-00000.h5", outputs=frozenset({"force", "rgb"}))
@@ -115,7 +117,7 @@ def folder_of_one(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("kind", ["lerobot", "webdataset"])
 def test_the_hubs_library_loads_all_splits(data: Path, tmp_path: Path, kind: str) -> None:
-    datasets = pytest.importorskip("datasets")
+    datasets = needs("datasets")
     card = hub_card.writer(kind, data, tmp_path / "out", licence="cc-by-4.0")
     export(kind, data, tmp_path / "out", card=card)
     loaded = datasets.load_dataset(str(tmp_path / "out"), cache_dir=str(tmp_path / "cache"))

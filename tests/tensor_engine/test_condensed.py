@@ -1,8 +1,9 @@
 """Tangents condensed to each scene's own nodes, and kept in slots."""
 
 import pytest
+from helpers.needs import needs
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import dissected

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from helpers.needs import needs
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 
 from tacgen.tensor_engine import device as devices
 

@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
+from helpers.needs import needs
+
+torch = needs("torch")
+
 from helpers.small import block, full
 
 from tacgen.fem.assembly import pattern

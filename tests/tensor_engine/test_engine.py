@@ -4,7 +4,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-import torch
+from helpers.needs import needs
+
+torch = needs("torch")
+
 from helpers.presses import gel, poses, scene, thin_plate
 
 from tacgen.fem.materials import EXAMPLES

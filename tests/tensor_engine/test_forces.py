@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
+from helpers.needs import needs
+
+torch = needs("torch")
+
 
 from tacgen.geometry.analytic_sdf import CylinderSdf, SphereSdf
 from tacgen.geometry.pose import Pose

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
+from helpers.needs import needs
+
+torch = needs("torch")
 
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
-pytest.importorskip("triton")
+needs("triton")
 
 from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 

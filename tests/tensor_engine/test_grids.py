@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 from helpers import presses
+from helpers.needs import needs
+
+needs("torch")
 
 from benchmarks.draws import drawn
 from benchmarks.tensor_engine import scene_of

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 
 from helpers import presses
 

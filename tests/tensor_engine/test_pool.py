@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 
 from helpers.presses import gel, scene
 

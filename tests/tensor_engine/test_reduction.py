@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
-import torch
+from helpers.needs import needs
+
+torch = needs("torch")
+
 
 from tacgen.tensor_engine.reduction import eliminate, reduced, solved_by_elimination, with_points
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 
 from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 
-torch = pytest.importorskip("torch")
+torch = needs("torch")
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
-pytest.importorskip("triton")
+needs("triton")
 
 from helpers.tiny import PLAIN, sensor
 from tensor_engine.compiling import interpreted_and_compiled
