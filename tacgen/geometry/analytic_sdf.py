@@ -1,8 +1,7 @@
 """Signed distances of analytic indenters: each is a core set, offset outward by a rounding radius.
 
-In its own frame an indenter touches the plane z = 0 from above at the origin, and its body extends along +z (punch,
-cone, box and wedge to infinity). A core gives its closest point c(p) for each point p; distance, normal and curvature
-follow in the same way for all shapes:
+In its own frame an indenter touches z = 0 from above at the origin; its body extends along +z (punch, cone, box and
+wedge to infinity). A core gives its closest point c(p) to a point p; distance, normal and curvature follow alike:
 
     d = |p - c(p)| - r,    n = (p - c)/|p - c|,    H = (I - n n^T - dc/dp) / |p - c|
 
@@ -73,8 +72,7 @@ class Core(NamedTuple):
     """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and direction out of it (n, 3);
     functions give what the distance alone does not need.
 
-    A core that is a point or a line has no interior: on it the direction out is down.
-    """
+    A core that is a point or a line has no interior: on it the direction out is down."""
 
     closest: Array
     jacobian: Callable[[], Array]

@@ -9,7 +9,6 @@ from tacgen.errors import UserError
 from tacgen.fem.materials import Law
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.outline import Pad
-from tacgen.geometry.rasterize import nearest
 
 Array = np.ndarray
 SHEET_STEP = 0.024  # grid spacing of the interfaces between a solid's layers, over the longer side [-]
@@ -135,6 +134,8 @@ class SolidGel(GelBody):
         pixel = FACE_PIXEL * self.side
         screen, shape = (v[:, :2] - v[:, :2].min(0)) / pixel, np.ceil(np.ptp(v[:, :2], axis=0) / pixel).astype(int)
         faces, size = t.astype(np.uint32), (int(shape[1]), int(shape[0]))
+        from tacgen.geometry.rasterize import nearest  # compiled: gels that are pads do not need it
+
         high, low = (sign * nearest(faces, screen, sign * v[:, 2], size) for sign in (-1.0, 1.0))
         folded = np.argwhere(high - low > pixel * 2 * np.tan(self.coated))
         if len(folded):

@@ -7,15 +7,16 @@ et al. 2013), expanded with an error below .01 (Barill et al. 2018). Pseudonorma
 
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tacgen import array_cache
 from tacgen.errors import UserError
-from tacgen.geometry import exact_edges
-from tacgen.geometry.convex_edges import Convex
 from tacgen.geometry.mesh_file import SolidMesh, read
-from tacgen.geometry.sdf_grid import Field
+
+if TYPE_CHECKING:
+    from tacgen.geometry.sdf_grid import Field
 
 Array = np.ndarray
 CACHE_VERSION = 3  # of the grids and walls in the cache
@@ -98,7 +99,7 @@ def _sizes(path: Path, up: str, scale: float, *_: int) -> tuple[float, float, fl
     return float(x), float(y), float(z)
 
 
-def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: float) -> Field:
+def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: float) -> "Field":
     """Signed distance of a placed solid: a spline, with the triangles themselves at sharp edges.
 
     Args:
@@ -121,6 +122,10 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: 
     key = array_cache.digest((CACHE_VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
     distances = array_cache.kept_one("distances", key, lambda: _distances(*asked))
     from scipy.spatial import ConvexHull
+
+    from tacgen.geometry import exact_edges  # compiled: recipes without meshes do not need it
+    from tacgen.geometry.convex_edges import Convex
+    from tacgen.geometry.sdf_grid import Field
 
     corners = solid.vertices[ConvexHull(solid.vertices).vertices]
     convex = Convex.of(solid, radius)

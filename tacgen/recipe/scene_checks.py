@@ -1,4 +1,4 @@
-"""What a run finds of a scene before it solves it, so that `validate` refuses and tells the same."""
+"""Checks of scenes that a run makes before it solves them, for `validate`."""
 
 from collections.abc import Sequence
 

@@ -52,7 +52,7 @@ def test_beside_the_pad_and_over_a_dome() -> None:
             "check its start or poses, and their unit; may_miss: true keeps such scenes",
         ),
         ("slide: {x_mm: 1, frames: 2}", "{clearance_mm: 2.5}\nmay_miss: true", "closest approach 2.5 mm"),
-        ("press: {depth_mm: 0.005, frames: 2}", "{x_mm: 1.03}", ""),
+        ("press: {depth_mm: 0.02, frames: 2}", "{x_mm: 1.03}", ""),
         ("press: {force_n: 1, frames: 2}", "{clearance_mm: 2.5}", ""),
     ],
 )
