@@ -318,7 +318,7 @@ def test_a_brighter_unit_is_found_by_presses_of_known_depth_or_force_on_a_dome(
     [
         (",,1.99", "press_1.png: depth_mm: must be from 0.015 to 1.8 mm in a gel of 3 mm there (got 1.99)"),
         (",,0.004", "press_1.png: depth_mm: must be from 0.015 to 1.8 mm"),
-        (",,1e308", "press_1.png: depth_mm: must be from 0.015 to 1.8 mm"),
+        (",,1e99", "press_1.png: depth_mm: must be from 0.015 to 1.8 mm"),
         (",1e-9,", "presses.csv:3: contact_radius_px: must be a number of at least 3 (got '1e-9')"),
         (",14,0,5", "presses.csv:3: has 7 cells, and the header 6: is a comma a decimal point?"),
         (",nan,", "presses.csv:3: contact_radius_px: must be a number"),

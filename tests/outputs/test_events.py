@@ -39,7 +39,7 @@ def made(
     folder: Path, indenter: str, friction: float, moves: list[str], more: tuple[str, ...] = (), outputs: str = "events"
 ) -> Bundle:
     sets = f"indenter={indenter}", f"contact.friction={friction}", f"outputs=[{outputs}]", "start.clearance_mm=0.4"
-    return read(pipeline.run_scene(small_recipe.row(", ".join(moves), *sets, *more), folder).path)
+    return read(pipeline.run_scene(small_recipe.row(", ".join(moves), "quality=draft", *sets, *more), folder).path)
 
 
 @pytest.mark.parametrize("name", SCENES)

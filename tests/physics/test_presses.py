@@ -27,7 +27,7 @@ def test_a_tip_that_barely_touches_presses_barely(tip: Shape, friction: float) -
     """Between the points of a coarse mesh, at first: no force to tell what is left unbalanced by."""
     path = poses([(0.1, 0.1, -0.005), (0.1, 0.1, -0.012), (0.1, 0.1, -0.03), (0.1, 0.1, -0.06)])
     force = -run(scene(tip, path, friction=friction, edge=0.8)).forces[:, 2]
-    assert (force[:2] < 1e-3).all()
+    assert (force[:2] < [1e-3, 1e-2]).all()  # a contact narrower than an element has closer points
     assert (np.diff(force) >= 0).all()
 
 

@@ -49,7 +49,7 @@ def test_a_mesh_indenter() -> None:
         found = trimesh.creation.icosphere(subdivisions=3, radius=2.5 * by)
         cell = scene_of_row.SDF_CELL * 0.6 * by
         raw = mesh_file.SolidMesh("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
-        return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by)
+        return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by, radius=0.02 * by)
 
     assert_alike(pressed(1, ball(1)), pressed(by, ball(by)), by, 1e-6)
 

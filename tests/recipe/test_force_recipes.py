@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tacgen.mechanics.cost_note import MIN_EDGES
 from tacgen.recipe import assets, plan
 
 
@@ -15,7 +14,7 @@ def test_each_scene_begins_untouched_and_has_no_edge_finer_than_its_mesh(name: s
         assert row.recipe.start.clearance_mm > quality.dhat_mm
         indenter = row.recipe.indenter.model_dump()
         radii = [indenter[key] for key in ("fillet_mm", "tube_radius_mm", "radius_mm") if indenter.get(key)]
-        assert min(radii) >= MIN_EDGES * quality.edge_mm - 1e-9, indenter
+        assert min(radii) >= 3 * quality.edge_mm - 1e-9, indenter
 
 
 def test_a_tenth_of_the_planned_frames_passes_30_n_and_a_third_14() -> None:
