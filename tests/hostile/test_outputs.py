@@ -309,7 +309,7 @@ def test_exports_go_to_folders_of_any_name(scenes: Path, kind: str) -> None:
     assert os.listdir("out") == [ODD]
 
 
-PACKAGES = {"exr": "OpenEXR", "lerobot": "pyarrow", "webdataset": "webdataset", "zarr": "zarr", "rerun": "rerun"}
+PACKAGES = {"lerobot": "pyarrow", "webdataset": "webdataset", "zarr": "zarr", "rerun": "rerun"}
 
 
 def test_an_edited_export_of_the_same_size_is_refused(scenes: Path) -> None:
