@@ -90,7 +90,7 @@ def test_a_card_that_somebody_changed_is_kept(tmp_path: Path) -> None:
 def test_overwriting_removes_what_the_new_plan_does_not_have(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run(out, 4)
-    (out / "scene-00003.timing.json").write_text("{}")
+    (out / "scene-00003.timing.json").write_text('{"frames": 1, "seconds": {}}')
     (out / "mine.txt").write_text("stays")
     notes = run(out, 2, ("indenter.radius_mm=2.5",), overwrite=True)
     assert notes == ["removed, no longer in the plan: scene-00002, scene-00003"]
