@@ -23,6 +23,7 @@ LONGEST = 8.0  # longest mitre over the radius [-]: of an edge of 14 deg
 FLAT = 1e-3  # square of the sine of an angle of faces, below which they are one flat face [-]
 SLIVER = 1e-4  # altitude of a triangle [mm] below which its normal is rounding error, and its neighbours' is taken
 CELLS = np.sqrt(3) / 2  # half the diagonal of a cell over its side
+MOST = 16  # distances that are about as small at one point
 ON_CORE = 1e-9  # distance from the core [mm] within which its direction is rounding error
 
 
@@ -51,8 +52,8 @@ class SharpField(Field):
         return d, g, H
 
 
-def sharpened(field: Field, distances: Array, solid: SolidMesh, radius: float) -> Field:
-    """The field with exact edges; itself if the spline rounds none.
+def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tuple[Array, ...]:
+    """`share`, `first`, `start`, `near` and `triangles` of a SharpField; share is empty if the spline rounds no edge.
 
     Args:
         distances (i, j, k) [mm]: what the field's coefficients were made from. radius: of the edges [mm].
@@ -62,14 +63,14 @@ def sharpened(field: Field, distances: Array, solid: SolidMesh, radius: float) -
         at_nodes = ndimage.correlate1d(at_nodes, np.array([1.0, 4.0, 1.0]) / 6, axis=axis, mode="nearest")
     recedes = (at_nodes - distances > OFF * cell) & (np.abs(distances) < NEAR * cell) & _inner(distances.shape, 2)
     if not recedes.any():
-        return field
+        none = np.zeros(0, np.int32)
+        return np.zeros((0, 0, 0), np.float32), none, none, none, np.zeros((0, 10, 3))
     share = ndimage.binary_dilation(recedes, np.ones((3, 3, 3)), iterations=BLEND)
     stencil = ndimage.maximum_filter(share, size=4, origin=-1)  # nodes -1 to 2 of the cell that begins at each node
     cells = np.argwhere(stencil & _inner(share.shape, 1))
     core = _eroded(solid.vertices, solid.triangles, radius)
     table = np.concatenate([core[solid.triangles], _normals(solid.vertices, solid.triangles)], 1)
-    middle = origin + (cells + 0.5) * cell
-    far = _farthest(core, solid, middle)
+    far = _farthest(core, solid, origin + (cells + 0.5) * cell)
     reach = far + 2 * CELLS * cell  # what is closest to a point of the cell is no farther from its middle
     first = np.full(share.shape, -1, np.int32)
     first[tuple(cells.T)] = np.arange(len(cells))
@@ -77,16 +78,23 @@ def sharpened(field: Field, distances: Array, solid: SolidMesh, radius: float) -
     start = np.concatenate([[0], np.cumsum(_listed(*asked, np.zeros(0, np.int64), np.zeros(0, np.int32)))])
     near = np.empty(start[-1], np.int32)
     _listed(*asked, start[:-1].copy(), near)
-    body = solid.body.astype(np.int32)
+    return share.astype(np.float32), first, start, near, table
+
+
+def sharpened(field: Field, known: tuple[Array, ...], radius: float, body: Array) -> Field:
+    """The field with the edges of these lists, of this radius [mm]; itself if there are none. body (t,): of triangles."""
+    share, first, start, near, triangles = known
+    if not share.size:
+        return field
     return SharpField(
         **vars(field),
         radius=radius,
-        share=share.astype(np.float32),
+        share=share,
         first=first,
         start=start,
         near=near,
-        triangles=table,
-        body=body,
+        triangles=triangles,
+        body=body.astype(np.int32),
     )
 
 
@@ -156,7 +164,7 @@ def _normals(vertices: Array, triangles: Array) -> Array:
     return np.concatenate([normal[:, None], at_edge[number.reshape(-1, 3)], at_vertex[triangles]], 1)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _closest(t: Array, x: float, y: float, z: float, out: Array) -> int:
     """Closest point, into out (3,), of a triangle t (10, 3) to (x, y, z), and the row of t with the normal there: 3 of
     the face, 4 5 6 of edges, 7 8 9 of corners. Source: Ericson (2005), Real-Time Collision Detection, 5.1.5."""
@@ -222,7 +230,40 @@ def _listed(table: Array, first: Array, origin: Array, cell: float, reach: Array
     return counts
 
 
-@njit(cache=True)
+@njit(cache=False)
+def _bend(t: Array, row: int, n: Array, length: float, D: Array) -> None:
+    """Hessian D (3, 3) of the distance from the point of triangle t that `row` names, `length` away along n (3,)."""
+    D[:] = 0.0
+    if row == 3:
+        return
+    edge = np.zeros(3)
+    if row < 7:  # along an edge there is no curvature
+        edge[:] = t[(row - 3) % 3] - t[row - 4]
+        edge /= np.sqrt((edge**2).sum())
+    for a in range(3):
+        for b in range(3):
+            D[a, b] = ((a == b) - n[a] * n[b] - edge[a] * edge[b]) / length
+
+
+@njit(cache=False)
+def _is_lowest(t: Array, row: int, n: Array) -> bool:
+    """Whether the point of triangle t that `row` names, from which n (3,) leads to a point outside, is closest to that
+    of all the surface around it. A corner is taken for one that is not."""
+    if row > 6 or n[0] * t[row, 0] + n[1] * t[row, 1] + n[2] * t[row, 2] <= 0:
+        return False
+    if row == 3:
+        return True
+    edge, beyond = t[(row - 3) % 3] - t[row - 4], t[row] - t[3] / np.sqrt((t[3] ** 2).sum())  # the other face's normal
+    # the edge runs against that face's orientation, so its cross product points from the edge into the face
+    inward = (
+        n[0] * (edge[1] * beyond[2] - edge[2] * beyond[1])
+        + n[1] * (edge[2] * beyond[0] - edge[0] * beyond[2])
+        + n[2] * (edge[0] * beyond[1] - edge[1] * beyond[0])
+    )
+    return bool(inward <= 0.0)
+
+
+@njit(cache=False)
 def _exact(
     table: Array, body: Array, near: Array, x: float, y: float, z: float, radius: float, n: Array, D: Array
 ) -> float:
@@ -250,15 +291,60 @@ def _exact(
         n[:] = table[which, row] / np.sqrt((table[which, row] ** 2).sum())
         return length - radius
     n /= length
-    if row != 3:
-        edge = np.zeros(3)
-        if row < 7:  # along an edge there is no curvature
-            edge[:] = table[which, (row - 3) % 3] - table[which, row - 4]
-            edge /= np.sqrt((edge**2).sum())
+    _bend(table[which], row, n, length, D)
+    if length > 0:
+        return _rounded(table, near, x, y, z, radius, best, n, D, length) - radius
+    return length - radius
+
+
+@njit(cache=False)
+def _rounded(
+    table: Array, near: Array, x: float, y: float, z: float, radius: float, best: Array, n: Array, D: Array, low: float
+) -> float:
+    """The smallest distance `low`, gradient n and Hessian D where others are nearly as small, above a crease: the
+    normal would jump from one face to the other. Each other distance that is lowest on its part of the surface, larger
+    by u < k, lowers it by
+
+        (k - u)^3 / (6 k^2),    k = radius (1 - cosine of the angle between the normals),
+
+    which is C2, and zero where a face ends at the crease (there u >= k).
+    """
+    at, m, E, v, slope = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(3), np.empty(3)
+    first, bend, out = n.copy(), D.copy(), low
+    known = np.empty((MOST, 3))
+    known[0] = best
+    count = 1
+    for t in near:
+        row = _closest(table[t], x, y, z, at)
+        m[0], m[1], m[2] = x - at[0], y - at[1], z - at[2]
+        length = np.sqrt((m**2).sum())
+        if length > low + 2 * radius or count == MOST:
+            continue
+        m /= length
+        k = radius * (1 - (first * m).sum())
+        u = length - low
+        if u >= k or not _is_lowest(table[t], row, m):
+            continue
+        again = False
+        for i in range(count):
+            again |= ((known[i] - at) ** 2).sum() < ON_CORE**2
+        if again:  # an edge of two triangles
+            continue
+        known[count] = at
+        count += 1
+        _bend(table[t], row, m, length, E)
+        part = (k - u) / k
+        out -= k * part**3 / 6
+        for a in range(3):
+            slope[a] = 0.0
+            for b in range(3):
+                slope[a] -= radius * (bend[a, b] * m[b] + E[a, b] * first[b])
+        v[:] = m - first - (u / k) * slope
+        n += part**2 / 2 * (m - first) - (part**2 / 2 - part**3 / 3) * slope
         for a in range(3):
             for b in range(3):
-                D[a, b] = ((a == b) - n[a] * n[b] - edge[a] * edge[b]) / length
-    return length - radius
+                D[a, b] += part**2 / 2 * (E[a, b] - bend[a, b]) - part / k * v[a] * v[b]
+    return out
 
 
 @njit(cache=True)

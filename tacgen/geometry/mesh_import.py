@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from tacgen.geometry.sdf_grid import Field
 
 Array = np.ndarray
-CACHE_VERSION = 3  # of the grids and walls in the cache
+CACHE_VERSION = 4  # of the grids and walls in the cache
 MAX_NODES = 8_000_000  # of a distance grid: 64 MB of spline
 MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no farther away
-FINER = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of the edge that are tried for walls too thin for it [-]
-MIN_WALL = 3  # thickness of a wall over the grid's cell [-]; forces of thinner ones are 10 to 90 % too low
+FINER = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of dhat that are tried for walls too thin for it [-]
+MIN_WALL = 2.2  # thickness of a wall over dhat [-]: contact shrinks an indenter by up to dhat, from both sides
+PARALLEL = 0.95  # cosine of the angle between the sides of a wall; tips and threads have larger angles [-]
 MAX_THIN = 0.01  # largest share of the surface that may belong to thinner walls
 
 
@@ -135,38 +136,47 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: 
         "convex": convex,
         "surface": (solid.vertices, solid.triangles),
     }
-    return exact_edges.sharpened(Field.through(distances, origin, cell, **known, blunt=True), distances, solid, radius)
+    spline = Field.through(distances, origin, cell, **known, blunt=True)
+    asked_edges = spline, distances, solid, radius
+    edges = array_cache.kept("edges", array_cache.digest((key, radius)), lambda: exact_edges.lists(*asked_edges))
+    return exact_edges.sharpened(spline, edges, radius, solid.body)
 
 
-def refuse_thin_walls(solid: SolidMesh, cell: float, height: float, edge: float) -> None:
-    """Raise UserError if a grid with this cell [mm], of a gel with this `edge` [mm], would lose walls of the solid
-    below `height` [mm]: where MIN_WALL cells inward of the surface is outside again."""
+def refuse_thin_walls(solid: SolidMesh, dhat: float, height: float) -> None:
+    """Raise UserError if walls of the solid below `height` [mm] are too thin for contact over `dhat` [mm]."""
 
-    def thin(part: float) -> bool:
-        thickness = MIN_WALL * cell * part
-        key = array_cache.digest((CACHE_VERSION, thickness, height, solid.vertices, solid.triangles))
-        share = array_cache.kept_one("walls", key, lambda: np.array(_thin_share(solid, thickness, height)))
+    def thin(dhat: float) -> bool:
+        key = array_cache.digest((CACHE_VERSION, dhat, height, solid.vertices, solid.triangles))
+        share = array_cache.kept_one("walls", key, lambda: np.array(_thin_share(solid, MIN_WALL * dhat, height)))
         return bool(share > MAX_THIN)
 
-    if not thin(1.0):
+    if not thin(dhat):
         return
-    fine = next((part for part in FINER if not thin(part)), None)
-    advice = f"ask for a finer mesh, as in quality: {{edge_mm: {edge * fine:.2g}}}" if fine else "make them thicker"
-    text = f"has walls thinner than {MIN_WALL * cell:.2g} mm, too thin for this quality: {advice}"
+    fine = next((dhat * part for part in FINER if not thin(dhat * part)), None)
+    advice = f"ask for quality: {{dhat_mm: {fine:.2g}}}" if fine else "make them thicker"
+    text = f"has walls thinner than {MIN_WALL * dhat:.2g} mm, too thin for contact over {dhat:g} mm: {advice}"
     raise UserError(f"{solid.name}: {text}")
 
 
 def _thin_share(solid: SolidMesh, thickness: float, height: float) -> float:
-    """Share of the surface below `height` [mm] from which `thickness` [mm] inward is outside again; from 10 000
-    triangles at most."""
+    """Share of the surface below `height` [mm] which has another side less than `thickness` [mm] inward, about parallel
+    to it; from 10 000 triangles at most."""
+    import igl
+
     a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
     middle, normal = (a + b + c) / 3, np.cross(b - a, c - a)
     area = np.linalg.norm(normal, axis=1)
     some = np.flatnonzero((np.minimum(a, np.minimum(b, c))[:, 2] < height) & (area > 0))
     some = some[:: 1 + len(some) // 10_000]
-    inward = middle[some] - thickness * normal[some] / area[some, None]
-    thin = area[some] @ ~inside(solid.vertices, solid.triangles, inward)
-    return float(thin / area[some].sum()) if len(some) else 0.0
+    if not len(some):
+        return 0.0
+    unit = normal / np.maximum(area, 1e-300)[:, None]
+    surface = np.ascontiguousarray(solid.vertices, float), solid.triangles.astype(np.int64)
+    inward = middle[some] - thickness * unit[some]
+    outside = igl.fast_winding_number(*surface, inward) < 0.5
+    side = igl.point_mesh_squared_distance(inward, *surface)[1]
+    parallel = (unit[some] * unit[side]).sum(1) < -PARALLEL
+    return float(area[some] @ (outside & parallel) / area[some].sum())
 
 
 def _distances(solid: SolidMesh, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:

@@ -156,7 +156,7 @@ class Expected:
         """None where it is not known: without contact, between meshes, and for linear tetrahedra."""
         if scene.surface is not None or scene.element == "linear_tet":
             return None
-        contact, pose = max(contacts(scene), key=lambda each: each[0].area)
+        contact, pose = max(scene.overlaps, key=lambda each: each[0].area)
         if not contact.perimeter:
             return None
         radius = FaceGrid.of(scene.gel).radius(scene.shape, pose)
@@ -184,10 +184,10 @@ class Expected:
         )
 
 
-def contacts(scene: "Scene") -> "list[tuple[Overlap, Array]]":
-    """The overlap in LOOKED_AT frames of a scene at the most, the last among them, and their poses (4, 4)."""
-    face, some = FaceGrid.of(scene.gel), scene.poses[:: -(-len(scene.poses) // LOOKED_AT)]
-    return [(face.overlap(scene.shape, pose), pose) for pose in (*some, scene.poses[-1])]
+def overlaps(gel: "GelBody", shape: "Shape", poses: Array) -> list[tuple[Overlap, Array]]:
+    """The overlap in LOOKED_AT frames at the most, the last among them, and their poses (4, 4)."""
+    face, some = FaceGrid.of(gel), poses[:: -(-len(poses) // LOOKED_AT)]
+    return [(face.overlap(shape, pose), pose) for pose in (*some, poses[-1])]
 
 
 def _rounded(percent: float) -> str:

@@ -13,7 +13,7 @@ from tacgen.fem.elements import elements
 from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.viscoelasticity import Viscoelastic
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import expected_error, linear_solvers
+from tacgen.mechanics import linear_solvers
 from tacgen.mechanics.barrier import AnyContact, Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import GelMesh
@@ -172,7 +172,7 @@ def by_distance(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:
 def points_along(scene: Scene) -> int:
     """Number of contact points along a facet's side."""
     if scene.shape.smallest_radius < scene.edge:
-        widths = [contact.width for contact, _ in expected_error.contacts(scene) if contact.area]
+        widths = [contact.width for contact, _ in scene.overlaps if contact.area]
         if widths and max(widths) < scene.edge:
             return POINTS_IF_NARROW
     return POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else POINTS

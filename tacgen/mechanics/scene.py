@@ -1,6 +1,7 @@
 """A scene as the numerics need it: gel, indenter, path and tolerances as arrays and numbers, without a recipe."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape, Triangles
     from tacgen.geometry.gel import GelBody
+    from tacgen.mechanics.expected_error import Overlap
     from tacgen.mechanics.failures import NotConverged
 
 Array = np.ndarray
@@ -79,3 +81,10 @@ class Scene:
     element: Element = "hex"
     surface: "Triangles | None" = None  # of the indenter, for contact between meshes
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
+
+    @cached_property
+    def overlaps(self) -> "list[tuple[Overlap, Array]]":
+        """How the indenter overlaps the untouched face in some of the frames, the last among them, and their poses."""
+        from tacgen.mechanics.expected_error import overlaps
+
+        return overlaps(self.gel, self.shape, self.poses)

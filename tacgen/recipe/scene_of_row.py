@@ -55,14 +55,10 @@ def shape_of(row: Row) -> Shape:
     assert indenter.shape == "mesh"
     solid = _solid(indenter, row)
     (half, height), quality = _reach_of_gel(row, solid), row.recipe.resolved()
-    edge, dhat = quality.edge_mm, quality.dhat_mm
-    grid = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half, radius=OPENED * dhat)
     if row.recipe.contact.formulation == "distance":
-        mesh_import.refuse_thin_walls(solid, grid.cell, height, edge)
-        if grid.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
-            text = f"has no point deeper inside than {grid.reach:.2g} mm, too thin for contact over {dhat:g} mm"
-            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {grid.reach / 3:.1g}}}")
-    return grid
+        mesh_import.refuse_thin_walls(solid, quality.dhat_mm, height)
+    sizes = {"cell": SDF_CELL * quality.edge_mm, "radius": OPENED * quality.dhat_mm}
+    return mesh_import.field(solid, **sizes, height=height, half=half)
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:

@@ -63,7 +63,15 @@ def test_a_spline_alone_makes_a_tip_recede_by_half_a_cell() -> None:
     assert Field.distance(found, tip)[0] > 0.5 * CELL
 
 
-@pytest.mark.parametrize("make", [lambda: sharp.wedge(15), lambda: sharp.block((4, 4, 4), (1, 1, 1)), truncated_cone])
+def tube() -> trimesh.Trimesh:
+    """Thinner than a cell, with creases of 15 deg inside."""
+    return trimesh.creation.annulus(r_min=0.25, r_max=0.35, height=3, sections=24)
+
+
+SHAPES = [lambda: sharp.wedge(15), lambda: sharp.block((4, 4, 4), (1, 1, 1)), truncated_cone, tube]
+
+
+@pytest.mark.parametrize("make", SHAPES)
 def test_gradient_and_hessian_are_slopes(make) -> None:
     """Also where the exact distance passes into the spline."""
     found, p, h = field(make()), around(-0.2, 0.8, 300), 1e-6
@@ -105,3 +113,18 @@ def test_overlapping_bodies_are_one() -> None:
     assert (found.value(inner) < -0.1).all()
     floor = np.column_stack([np.linspace(-0.9, 0.9, 30), np.linspace(-0.9, 0.9, 30), np.full(30, -0.01)])
     assert found.value(floor) == pytest.approx(0.01, abs=1e-6)
+
+
+def test_beside_a_crease_the_normal_turns_and_does_not_jump() -> None:
+    """Around the rim of a tube's bore, as close as contact comes; without that the solver zigzags across the crease."""
+    found = field(tube())
+    turn = np.linspace(0, np.pi, 20_001)
+    for radius, z in ((0.24, 0.3), (0.242, -0.006)):
+        ring = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(len(turn), z)])
+        d, n, H = found.distance(ring)
+        assert (np.abs(d) < RADIUS).all()
+        turned = np.linalg.norm(np.diff(n, axis=0), axis=1)
+        apart = np.linalg.norm(np.diff(ring, axis=0), axis=1)
+        assert (turned < 6 / RADIUS * apart).all()
+        assert turned.sum() == pytest.approx(np.pi, rel=0.3)
+        assert np.linalg.norm(H, axis=(1, 2)).max() < 6 / RADIUS

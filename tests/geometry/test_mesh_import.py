@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from helpers.meshes import ball, box, saved, truncated_cone
 
+from benchmarks import sharp
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.mesh_file import SolidMesh
@@ -116,19 +117,33 @@ def test_a_grid_has_a_bounded_number_of_nodes(monkeypatch: pytest.MonkeyPatch):
     assert field(ball(2), 0.05).coefficients.size < 60_000
 
 
-def test_a_thin_wall_is_refused_where_its_grid_would_lose_it():
-    """A tube with a wall of 0.3 mm: on cells of 0.15 mm its spline alone has no inside."""
-    tube = trimesh.creation.annulus(r_min=3.7, r_max=4.0, height=6)
-    solid, inside = mesh_import.placed(solid_of(tube)), np.array([[3.85, 0.0, 0.5]])
+@pytest.mark.parametrize(("wall", "dhat", "advice"), [(0.1, 0.05, "0.035"), (0.05, 0.04, "0.02"), (0.05, 0.02, "")])
+def test_a_wall_thinner_than_contact_reaches_is_refused(wall: float, dhat: float, advice: str):
+    tube = mesh_import.placed(solid_of(trimesh.creation.annulus(r_min=4 - wall, r_max=4.0, height=6)))
+    for solid in (tube, mesh_import.placed(solid_of(box(wall, 8, 6)))):
+        if not advice:
+            mesh_import.refuse_thin_walls(solid, dhat, 1.5)
+            continue
+        with pytest.raises(UserError, match=rf"walls thinner than {2.2 * dhat:.2g} mm.*dhat_mm: {advice}}}"):
+            mesh_import.refuse_thin_walls(solid, dhat, 1.5)
+
+
+def test_a_foil_is_too_thin_for_contact_of_any_range():
+    foil = mesh_import.placed(solid_of(trimesh.creation.annulus(r_min=3.999, r_max=4.0, height=6)))
+    with pytest.raises(UserError, match="make them thicker"):
+        mesh_import.refuse_thin_walls(foil, 0.05, 1.5)
+
+
+@pytest.mark.parametrize("mesh", [sharp.wedge(15), sharp.cone(15), sharp.nut()])
+def test_a_sharp_edge_is_no_wall_however_fine_its_triangles(mesh: trimesh.Trimesh):
+    mesh_import.refuse_thin_walls(mesh_import.placed(solid_of(mesh.subdivide_to_size(0.15))), 0.05, 1.0)
+
+
+def test_a_tube_with_a_wall_as_thin_as_a_cell_keeps_its_inside():
+    """Its spline has none."""
+    tube, inside = trimesh.creation.annulus(r_min=3.7, r_max=4.0, height=6), np.array([[3.85, 0.0, 0.05]])
     assert Field.distance(field(tube, 0.15), inside)[0][0] > -0.02
-    with pytest.raises(UserError, match=r"has walls thinner than 0\.45 mm.*edge_mm: 0\.3}"):
-        mesh_import.refuse_thin_walls(solid, 0.15, 1.5, 0.6)
-    mesh_import.refuse_thin_walls(solid, 0.15 * 0.3 / 0.6, 1.5, 0.3)
-    mesh_import.refuse_thin_walls(solid, 0.09, 1.5, 0.6)
-    assert Field.distance(field(tube, 0.09), inside)[0][0] < -0.06
-    foil = mesh_import.placed(solid_of(trimesh.creation.annulus(r_min=3.98, r_max=4.0, height=6)))
-    with pytest.raises(UserError, match="too thin for this quality: make them thicker"):
-        mesh_import.refuse_thin_walls(foil, 0.15, 1.5, 0.6)
+    assert field(tube, 0.15).value(inside)[0] == pytest.approx(-0.05, abs=1e-3)
 
 
 def test_a_surface_through_itself_is_refused():

@@ -52,7 +52,7 @@ def plate(folder: Path, thickness: float) -> tuple[str, str]:
 
 def test_a_plate_that_is_thinner_than_contact_reaches_is_refused(tmp_path: Path):
     """It bore no force at any depth: contact shrinks the indenter, and of this one nothing was left."""
-    with pytest.raises(UserError, match=r"plate\.stl: has no point deeper inside than 0\.0.*{dhat_mm: 0\.01}"):
+    with pytest.raises(UserError, match=r"plate\.stl: has walls thinner than 0\.11 mm.*{dhat_mm: 0\.035}"):
         pressed(*plate(tmp_path, 0.1))
 
 
