@@ -26,6 +26,7 @@ BENCHES = {  # name: module
     "optics": "optics",
     "real": "real",
     "stability": "stability",
+    "sharp": "sharp",
     "pay": "cost_per_output",
     "scaling": "scaling",
     "load": "load",

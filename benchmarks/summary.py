@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 Row = dict[str, Any]
@@ -125,6 +126,18 @@ def _stability(tables: Tables) -> Told:
         yield f"{row['scenes']} extreme {row['what']}", ", ".join([*parts, f"{row['wrong']} wrong"])
 
 
+def _sharp(tables: Tables) -> Told:
+    for quality in ("draft", "default"):
+        rows = [row for row in tables.get("Sharp edges and tips", ()) if row["quality"] == quality]
+        if errors := [abs(row["error"]) for row in rows if row["error"] is not None]:
+            told = Counter(row["within its factor"].partition(":")[0] for row in rows)
+            yield (
+                f"force error of {len(rows)} sharp meshes at `{quality}`",
+                f"median {median(errors):.1%}, worst {max(errors):.1%}; as expected within a factor of 2: {told['yes']} of"
+                f" {len(errors)}; {told['refused']} refused",
+            )
+
+
 def _pay(tables: Tables) -> Told:
     rows = tables.get("Labels: cost and agreement", [])
     if rows:
@@ -151,5 +164,6 @@ TOLD = {
     "optics": _optics,
     "real": _real,
     "stability": _stability,
+    "sharp": _sharp,
     "pay": _pay,
 }

@@ -361,7 +361,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[NAME]...",
-            help="mechanics ordinary pipeline cost peers optics real stability pay scaling load, or all",
+            help="mechanics ordinary pipeline cost peers optics real stability sharp pay scaling load, or all",
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for RESULTS.md and results/.")] = Path("out/bench"),
