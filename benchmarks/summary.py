@@ -131,10 +131,11 @@ def _sharp(tables: Tables) -> Told:
         rows = [row for row in tables.get("Sharp edges and tips", ()) if row["quality"] == quality]
         if errors := [abs(row["error"]) for row in rows if row["error"] is not None]:
             told = Counter(row["within its factor"].partition(":")[0] for row in rows)
+            sizes = f"median {median(errors):.1%}, worst {max(errors):.1%}"
+            within = f"within a factor of 2 of the expected: {told['yes']} of {len(errors)}"
             yield (
                 f"force error of {len(rows)} sharp meshes at `{quality}`",
-                f"median {median(errors):.1%}, worst {max(errors):.1%}; as expected within a factor of 2: {told['yes']} of"
-                f" {len(errors)}; {told['refused']} refused",
+                f"{sizes}; {within}; {told['refused']} refused",
             )
 
 
