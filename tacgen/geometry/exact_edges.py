@@ -82,7 +82,7 @@ def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tu
 
 
 def sharpened(field: Field, known: tuple[Array, ...], radius: float, body: Array) -> Field:
-    """The field with the edges of these lists, of this radius [mm]; itself if there are none. body (t,): of triangles."""
+    """The field with the edges of these lists and radius [mm]; itself if there are none. body (t,): of triangles."""
     share, first, start, near, triangles = known
     if not share.size:
         return field

@@ -5,8 +5,10 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from tacgen.mechanics import mesh
+from tacgen.mechanics.problem import points_along
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import grids, scope
 from tacgen.tensor_engine.grids import GridPattern
@@ -35,22 +37,22 @@ class Planned:
             return cls(number, why="a contact larger than all patterns")
         return cls(number, scene, axes, pattern)
 
-    @property
-    def thin(self) -> bool:
-        """Whether facets have more contact points; see problem.POINTS_IF_THIN."""
-        return self.scene is not None and 2 * self.scene.shape.reach < self.scene.edge
+    @cached_property
+    def points(self) -> int:
+        """Contact points along a facet's side."""
+        return 0 if self.scene is None else points_along(self.scene)
 
 
-def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, bool], list[int]]:
-    """Places in the list of the scenes that are solved together: by their pattern, and whether they are thin. share:
-    whether scenes of some patterns are put into a larger one."""
-    out: dict[tuple[GridPattern, bool], list[int]] = {}
-    for thin in (False, True):
-        wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.thin is thin)
+def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, int], list[int]]:
+    """Places in the list of the scenes that are solved together: by their pattern, and the contact points along a
+    facet's side. share: whether scenes of some patterns are put into a larger one."""
+    out: dict[tuple[GridPattern, int], list[int]] = {}
+    for points in sorted({plan.points for plan in plans if plan.pattern}):
+        wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.points == points)
         found = grids.merged(wanted) if share else {pattern: pattern for pattern in wanted}
         for k, plan in enumerate(plans):
-            if plan.pattern and plan.thin is thin:
-                out.setdefault((found[plan.pattern], thin), []).append(k)
+            if plan.pattern and plan.points == points:
+                out.setdefault((found[plan.pattern], points), []).append(k)
     return out
 
 

@@ -4,7 +4,6 @@ from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, St
 from tacgen.geometry import analytic_sdf as sdf
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
-from tacgen.mechanics.problem import POINTS, points_along
 from tacgen.mechanics.scene import Scene
 
 # the numbers of each analytic shape, in the order in which gpu_distance takes them
@@ -29,7 +28,6 @@ def lacks(scene: Scene) -> str | None:
         "a viscous gel": scene.duration is not None and any(layer.prony for layer in scene.gel.layers),
         "this material law": any(numbers(layer.law) is None for layer in scene.gel.layers),
         "this indenter": not known(scene.shape),
-        "a contact narrower than an element": points_along(scene) != POINTS,
     }
     return next((what for what, is_so in wanted.items() if is_so), None)
 

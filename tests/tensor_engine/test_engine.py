@@ -11,7 +11,7 @@ torch = needs("torch")
 from helpers.presses import gel, poses, scene, thin_plate
 
 from tacgen.fem.materials import EXAMPLES
-from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, CylinderSdf, SphereSdf, Triangles
+from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, SphereSdf, Triangles
 from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import DEFAULT, State, solver
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
@@ -62,7 +62,7 @@ def test_slide_twist_tilt_and_release_with_friction() -> None:
         (0, 0, -0.3), (0.8, 0.2, -0.35), (0.8, 0.2, -0.35), (0.8, 0.2, -0.35), (0.8, 0.2, 0.5),
         turns=[(0, 0, 0), (0, 0, 0), (0, 0, 0.25), (0.06, 0, 0), (0, 0, 0)],
     )  # fmt: skip
-    shapes = (BALL, ConeSdf(0.7, 0.5))
+    shapes = (BALL, CylinderSdf(1.3, 0.2))
     scenes = [small(shape, moves, friction=0.4 + 0.3 * k) for k, shape in enumerate(shapes)]
     found = solve(batch(scenes), scenes)
     all_same(scenes, found, 1e-6)

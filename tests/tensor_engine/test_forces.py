@@ -40,7 +40,7 @@ IN_STEPS = replace(
     forced(small(SphereSdf(2.0), path((0, 0, -0.3), (0, 0, -0.5), (0, 0, -0.6))), [0.2, 0.6, 0.6], [1, 0.5, 1]),
     segment=np.array([0, 1, 1]),
 )
-PUNCH = forced(small(CylinderSdf(1.0, 0.2), path((0, 0, -0.1), (0, 0, -0.5)), friction=0.8), [0.5, 0.05])
+PUNCH = forced(small(CylinderSdf(1.2, 0.2), path((0, 0, -0.1), (0, 0, -0.5)), friction=0.8), [0.5, 0.05])
 
 
 def test_forces_are_met_as_by_the_cpu_engine_and_again_with_the_same_bytes() -> None:
