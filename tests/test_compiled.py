@@ -107,6 +107,7 @@ def test_arithmetic_is_a_functions_own_whatever_was_compiled_before():
     assert "fast" not in one[0]
 
 
+@pytest.mark.slow
 def test_a_cache_that_cannot_be_written_compiles_again(tmp_path: Path):
     package, cache = copied(tmp_path / "package", "2"), tmp_path / "cache"
     cache.write_text("no folder")

@@ -456,6 +456,7 @@ def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> No
         pipeline.run_scene(row, tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_hexagonal_markers_are_where_the_image_shows_dots_and_move_with_the_flow(recipe: Path, tmp_path: Path) -> None:
     text = assets.sensor_path("gelsight_mini").read_text()
     grid = "  columns: 9\n  rows: 7\n  pitch_mm: [2.0, 1.94]\n"

@@ -62,6 +62,7 @@ def test_what_is_published_is_whole_and_in_the_splits_of_the_data_set(
     assert sample.table(json.loads((tmp_path / "out" / "baseline.json").read_text())) in text
 
 
+@pytest.mark.slow
 def test_the_linear_baseline_is_better_than_a_guess_and_its_errors_are_of_the_test_data(
     sample: ModuleType, data: Path
 ) -> None:

@@ -199,6 +199,7 @@ def test_a_contact_is_in_one_part_on_all_its_sensors(paired: Path, folder: Path)
         TactilePairs(paired, ("force",), sensors=("digit", "tip"))
 
 
+@pytest.mark.slow
 def test_both_fingers_of_a_grasp_are_in_the_same_part(tmp_path: Path) -> None:
     for i in range(16):
         finger = {"scene_index": i // 2, "finger": ("left", "right")[i % 2], "sensor": "digit"}

@@ -324,6 +324,7 @@ assert "torch" not in sys.modules
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_known_frames_without_pictures_are_labelled_without_pytorch(tmp_path: Path) -> None:
     """And so are scenes with pictures that the batch engine has not solved."""
     planned(tmp_path)

@@ -22,6 +22,7 @@ needs("distributed")
 TESTS = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 def test_dask_writes_the_bytes_that_this_process_writes(tmp_path: Path):
     spoil(tmp_path / "dask", "scene-00003", "kill once writing")
     spoil(tmp_path / "dask", "scene-00005", "refuse")

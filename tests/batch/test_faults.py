@@ -42,6 +42,7 @@ def wait_for(what: Callable[[], object], seconds: float = 60.0) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_parent_killed_twice_during_a_write_takes_its_workers_along_and_loses_nothing_else(tmp_path: Path):
     out = tmp_path / "out"
     spoil(out, "scene-00003", "hang writing")
@@ -60,6 +61,7 @@ def test_a_parent_killed_twice_during_a_write_takes_its_workers_along_and_loses_
     assert leftovers(out) == []
 
 
+@pytest.mark.slow
 def test_two_runs_into_one_folder_share_the_work(tmp_path: Path):
     out = tmp_path / "out"
     for scene in ALL:

@@ -62,6 +62,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of glibc")
 def test_a_workers_memory_does_not_come_back_page_by_page() -> None:
     """Arrays of 29 MB in all are used again and again."""
@@ -109,6 +110,7 @@ def test_memory_is_not_returned_after_each_short_scene(
     assert len(begun) == 3
 
 
+@pytest.mark.slow
 def test_shards_on_any_number_of_workers_give_what_one_process_gives(tmp_path: Path):
     serial = tmp_path / "serial"
     for row in make_plan(tmp_path).rows:
@@ -121,6 +123,7 @@ def test_shards_on_any_number_of_workers_give_what_one_process_gives(tmp_path: P
     assert survey(tmp_path / "sharded").count() == {"ok": 8}
 
 
+@pytest.mark.slow
 def test_every_kind_of_lost_worker_costs_one_scene_which_a_later_run_makes(tmp_path: Path):
     out = tmp_path / "out"
     faults = {
@@ -165,6 +168,7 @@ def test_a_worker_that_eats_the_memory_is_stopped(tmp_path: Path):
     assert "GB of memory used, 0.35 allowed" in results[1].reason
 
 
+@pytest.mark.slow
 def test_workers_are_replaced_after_their_share(tmp_path: Path):
     results = run(tmp_path / "out", samples=5, limits=Limits(scenes=2))
     pids = [result.seconds["pid"] for result in results]

@@ -36,6 +36,7 @@ def modules() -> list[str]:
     return list(sys.modules)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["spawn", "forkserver"])
 def test_processes_start_before_they_are_needed(by: str) -> None:
     with ExitStack() as stack:

@@ -52,6 +52,7 @@ def result(seconds: float) -> results_page.Result:
     return results_page.Result("What was done.", [table], [results_page.Plot("Error", "s", "error", [curve])])
 
 
+@pytest.mark.slow
 def test_the_page_is_made_of_what_was_found(tmp_path: Path) -> None:
     results_page.write(tmp_path / "results", "mechanics", result(3.14159), 12.3)
     results_page.page(tmp_path / "results", ["mechanics", "stability"], tmp_path / "RESULTS.md", "Results", "Head.")

@@ -91,6 +91,7 @@ def test_a_wrong_file_is_told_from_noise(unit: MiniUnit) -> None:
     assert (found_weak[9] or 0) < 0.8 * (found_weak[5] or 0)  # less the linear misfit
 
 
+@pytest.mark.slow
 def test_grain_and_circles_are_sources_of_a_mini(unit: MiniUnit, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(normal_errors.real_grain, "fitted", lambda power: (5.0, 1.0))
     one = tiny()

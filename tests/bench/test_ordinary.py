@@ -135,6 +135,7 @@ def test_a_frame_without_a_solution_rejects_the_scene(monkeypatch: pytest.Monkey
     assert (ended.status, ended.reason, ended.frames) == ("rejected", f"frame 2 of 8: {mechanics.Failure.singular}", 1)
 
 
+@pytest.mark.slow
 def test_a_bug_in_one_scene_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(draw: draws.Draw, quality: str, *how: Any, **more: Any) -> ordinary.Outcome:
         if draw.index == 0:

@@ -56,6 +56,7 @@ def test_own_photographs_are_left_out_in_turn() -> None:
     assert odd > even + 4
 
 
+@pytest.mark.slow
 def test_the_recipe_draws_as_many_units_around_each_of_the_three_files(rows: list[Row]) -> None:
     count = {name: sum(row.sensor.name == name for row in rows) for name in real_units.FILES.values()}
     assert sum(count.values()) == len(rows) == 64
@@ -108,6 +109,7 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     assert max(steepest[:-each]) <= 0.75 < max(steepest[-each:])  # dents of a network are as deep as its presses
 
 
+@pytest.mark.slow
 def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
     compared = Comparison(real_units.sensor_of("gelsight_mini"))
     one, again, other = (next(compared.dents(0.7, 1, seed)) for seed in (0, 0, 1))

@@ -14,6 +14,7 @@ def test_it_is_left_out_without_photographs(tmp_path: Path, monkeypatch: pytest.
     assert not wedge.here()
 
 
+@pytest.mark.slow
 def test_its_sensor_file_and_table_are_what_the_calibration_takes(tmp_path: Path) -> None:
     sensor, _ = loading.read_sensor(wedge.SENSOR)
     assert (sensor.camera.width_px, sensor.camera.height_px) == wedge.SIZE

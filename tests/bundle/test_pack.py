@@ -149,6 +149,7 @@ def packed_shard(loose: Path, tmp_path: Path) -> Path:
     return pack.pack(bundles, tmp_path / "another").shards[0]
 
 
+@pytest.mark.slow
 def test_a_pack_killed_at_any_moment_is_made_whole_by_the_next_run(loose: Path, tmp_path: Path):
     def run(out: Path, moment: int) -> int | None:
         return calls(lambda: pack.pack(dataset.scenes(loose), out, 0.2), moment)
@@ -167,6 +168,7 @@ def test_a_pack_killed_at_any_moment_is_made_whole_by_the_next_run(loose: Path, 
         assert all(found[name] == whole[name] for name in whole if name != "frames.h5"), moment
 
 
+@pytest.mark.slow
 def test_a_folder_that_holds_its_own_pack_is_two_datasets(loose: Path):
     inside = pack.pack(dataset.scenes(loose), loose / "packed", 0.2).folder
     loose_scenes = dataset.scenes(loose)

@@ -120,6 +120,7 @@ def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_p
     assert powers == pytest.approx([10.8, 8.1, 9.0], rel=0.08)
 
 
+@pytest.mark.slow
 def test_a_background_alone_gives_powers(nominal: Path, tmp_path: Path) -> None:
     unit = sensor(leds=[{**led, "power": 1.2} for led in PLAIN["leds"]], camera=FINE, markers=None)
     folder = photographed(unit, tmp_path / "unit", ())
@@ -245,6 +246,7 @@ def _swap(folder: Path, old: str, new: str) -> None:
     table.write_text(table.read_text().replace(old, new))
 
 
+@pytest.mark.slow
 def test_a_press_of_known_depth_is_solved_also_where_its_contact_is_known():
     sensor, _ = loading.read_sensor(assets.sensor_path("gelsight_mini"))
     press = photos.PhotographedPress("p.png", np.zeros((240, 320, 3), np.uint8), 3.0, (160.0, 120.0), 25.0, None)

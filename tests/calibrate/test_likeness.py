@@ -47,6 +47,7 @@ def alike(compared, unit):
     return compared.likeness(presses, faces, untouched)
 
 
+@pytest.mark.slow
 def test_pictures_of_the_sensor_itself_are_alike(alike):
     assert alike.contrast == pytest.approx(1.0, abs=1e-9)
     assert alike.direction == pytest.approx(0.0, abs=1e-6)

@@ -71,6 +71,7 @@ def test_a_second_parameter_is_found_or_said_to_be_at_its_end(curves: Curves) ->
     assert held["modulus"] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_relaxation_of_a_solved_viscoelastic_gel_is_found(curves: Curves, tmp_path: Path) -> None:
     steps = "- press: {depth_mm: 0.8, frames: 6, duration_s: 0.3}\n  - hold: {frames: 10, duration_s: 2}"
     made = row(tmp_path, steps, ("sensor.gel.layers[0].prony=[{g: 0.25, tau_s: 0.5}]",))

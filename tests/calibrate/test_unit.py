@@ -99,6 +99,7 @@ def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(un
     assert found.optics.explained > 0.9
 
 
+@pytest.mark.slow
 def test_the_lag_of_a_gauge_is_found_and_does_not_shift_the_modulus(unit: LitSensor) -> None:
     up = np.concatenate([np.linspace(0.1, 0.9, 7), [0.9] * 3, np.linspace(0.8, 0.1, 6)])
     time, lag = np.arange(len(up)) / 30, 0.05
@@ -111,6 +112,7 @@ def test_the_lag_of_a_gauge_is_found_and_does_not_shift_the_modulus(unit: LitSen
     assert np.abs(gauge.late(true, {0: lag}) - gauge.force).mean() < 1e-9 < early
 
 
+@pytest.mark.slow
 def test_a_recording_with_another_contrast_tells_it_by_its_own_pictures(unit: LitSensor) -> None:
     view, thick, random = PressView(unit), 3.0, np.random.default_rng(0)
     dents = [{BALL: formula(with_thickness(unit, f * 3.0), BALL)} for f in fit_unit.FACTORS[1:4]]
@@ -162,6 +164,7 @@ def called(file: Path, folder: Path, *more: str) -> Any:
     return CliRunner().invoke(cli.app, asked)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_sensor_file_with_what_was_found_and_unseen_forces(
     unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -84,6 +84,7 @@ def test_worse_scores_are_told_before_and_after() -> None:
     assert str(one) == "4.5 before and 6.0 after the fit [counts rms]"
 
 
+@pytest.mark.slow
 def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) -> None:
     """Photographs of the file's own sensor: no fit can be better."""
     out, exact = tmp_path / "mine.yaml", sensor(camera=FINE, markers=None)

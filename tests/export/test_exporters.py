@@ -102,6 +102,7 @@ def test_opencv_sees_the_colours_it_was_given():
     assert abs(cv2.imdecode(np.frombuffer(stream, np.uint8), cv2.IMREAD_COLOR).mean((0, 1)) - [200, 0, 0]).max() < 4
 
 
+@pytest.mark.slow
 def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, tmp_path: Path):
     webdataset = needs("webdataset")
     made = export.export("webdataset", folder, tmp_path / "one")
@@ -351,6 +352,7 @@ def test_lerobot_depth_is_16_bit_in_micrometres(scene: Bundle, tables: Path) -> 
     assert np.shape(stats["mean"]) == (1, 1, 1)
 
 
+@pytest.mark.slow
 def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     parquet = needs("pyarrow.parquet")
     monkeypatch.setattr(lerobot, "FILE_BYTES", 1000)

@@ -88,6 +88,7 @@ def test_a_folder_of_other_things_or_of_another_format_is_refused(data: Path, tm
     assert sorted(os.listdir(tmp_path)) == ["file", "list", "other", "tar"]
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_leaves_a_whole_one_or_what_the_next_run_removes(data: Path, tmp_path: Path) -> None:
     def run(moment: int, out: Path) -> int | None:
         return calls(lambda: export("feats", data / "one", out), moment, [*DISK, (np, "save")])

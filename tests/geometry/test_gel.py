@@ -180,6 +180,7 @@ leds:
 """
 
 
+@pytest.mark.slow
 def test_pictures_show_the_solid_itself(tmp_path: Path) -> None:
     """Round, not the square of its box; its rim turned from the near light to the far one; as path has it."""
     found = {

@@ -33,7 +33,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.report import dataset_card, dataset_summary, field_figure, html_report
 
-INPUTS = 9  # of each kind
+INPUTS = 5  # of each kind
 TESTS = Path(__file__).parents[1]
 
 
@@ -113,6 +113,7 @@ def test_a_mesh_that_a_bundle_names_is_drawn_only_if_it_is_the_one_of_its_recipe
         assert (field_figure.indenter_surface(scene, 5.0) is not None) == there
 
 
+@pytest.mark.slow
 def test_a_few_kills(source: Path) -> None:
     needs("webdataset")
     seeds = {kills.work(seed): seed for seed in reversed(range(40))}  # one of each work

@@ -115,6 +115,7 @@ def test_a_bundle_says_how_sure_it_is(tmp_path: Path) -> None:
     assert sure["pressure"][inside].mean() < 0.3 * frames["pressure"][inside].mean()
 
 
+@pytest.mark.slow
 def test_the_meshs_error_is_reported_by_a_coarser_one(tmp_path: Path) -> None:
     """Nine of ten errors of the force, against a mesh half as coarse, are within 1.645 standard deviations."""
     press, sets = PRESS.replace("2", "4"), ("uncertainty={mesh: true}", "quality={edge_mm: 0.5, dhat_mm: 0.05}")

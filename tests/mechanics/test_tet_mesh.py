@@ -40,6 +40,7 @@ def domed(own_cache: None) -> mesh.GelMesh:
     return mesh.of(pressed(DOMED))
 
 
+@pytest.mark.slow
 def test_the_boundary_is_the_gels(domed: mesh.GelMesh) -> None:
     """A round end, a dome and two layers: corners and the nodes in the middle of edges alike."""
     x = domed.points

@@ -46,6 +46,7 @@ def test_pixels_larger_than_the_grain_average_it() -> None:
     assert cell.std() < 0.4 * fine.std()
 
 
+@pytest.mark.slow
 def test_seeds_give_patterns_of_their_own_and_more_marks_leave_the_first_ones() -> None:
     assert np.array_equal(made(grain=GRAIN), made(grain=GRAIN))
     one, other = made(grain=GRAIN), made(grain={**GRAIN, "seed": 4})

@@ -19,6 +19,7 @@ def light(one: taxim_table.Face) -> np.ndarray:
     return np.stack([(1 + 0.5 * x) * (one.slope @ w) for w in ((0.3, 0.1), (-0.2, 0.4), (0.0, 0.5))], axis=-1)
 
 
+@pytest.mark.slow
 def test_it_learns_light_that_follows_slope_and_place():
     faces = [face(seed) for seed in range(6)]
     made = taxim_table.TaximTable.fitted(faces, [light(one) for one in faces], LAMP, 0.1)

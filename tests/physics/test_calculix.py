@@ -49,12 +49,14 @@ def maps(row: Row, press: Run) -> Maps:
     return maps_of(press.problem, press.face.moved(state.x), state, PinholeCamera.from_sensor(row.sensor))
 
 
+@pytest.mark.slow
 def test_force_wherever_the_sphere_sits_in_a_cell(press: Run) -> None:
     found = [-press.forces[-1, 2], -solved(resolved(frames=1), (0.3, 0.5)).forces[-1, 2]]
     assert found == pytest.approx([1.0] * 2, abs=0.015)
     assert np.ptp(found) < 0.005
 
 
+@pytest.mark.slow
 def test_force_with_friction() -> None:
     """CalculiX is 1.1 % sure of it; here it falls to 1.070 N on a mesh of .25 mm, and gains .3 % by 10 frames."""
     forces = solved(resolved("contact.friction=0.6", frames=5)).forces

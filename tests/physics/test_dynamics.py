@@ -58,6 +58,7 @@ def test_the_base_bears_another_force_than_the_indenter_gives() -> None:
     assert abs(inner[held, 2].sum() - fast.forces[-1, 2]) > 0.05 * -fast.forces[-1, 2]
 
 
+@pytest.mark.slow
 def test_force_converges_with_the_step_in_time_at_first_order() -> None:
     steps = np.array([4, 8, 16, 64])
     found = [tap([(0.0, 0.0, -0.4)], 1.6e-3, 1.6e-3 / n, beta=2e-4).forces[-1, 2] for n in steps]

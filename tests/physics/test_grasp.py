@@ -62,6 +62,7 @@ def grip(frame: Held) -> float:
     return float(on_object(frame)[0, 0])
 
 
+@pytest.mark.slow
 def test_a_block_slips_below_half_its_weight_over_friction(tmp_path: Path) -> None:
     moves = [f"close: {{force_n: {part * SLIPS:.6f}, frames: 1}}" for part in (1.2, 1.015, 0.985, 0.9)]
     frames = found(tmp_path, BLOCK, moves[0], "lift: {height_mm: 3, frames: 1}", *moves[1:])

@@ -21,6 +21,7 @@ def pressed(*sets: str) -> list[mechanics.State]:
     return run(scene_of_row.build(small_recipe.row(MOVES, *SETS, *sets))).states
 
 
+@pytest.mark.slow
 def test_a_ball_of_triangles_presses_as_a_ball(tmp_path: Path):
     trimesh.creation.icosphere(subdivisions=5, radius=1.0).export(tmp_path / "ball.stl")
     ball = pressed()

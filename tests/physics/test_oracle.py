@@ -165,6 +165,7 @@ def test_a_depth_that_is_next_to_nothing_more_changes_nothing(name: str) -> None
 TURNS = (90, 190, 720)
 
 
+@pytest.mark.slow
 def test_a_ball_turned_in_one_frame_has_one_torque_however_far() -> None:
     """It slips all over from some 40 deg on; 190 deg is no turn by 170 deg the other way."""
     torques, full = [], []

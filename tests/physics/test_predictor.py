@@ -43,6 +43,7 @@ def capsule(parts: int, options: SolverOptions = DEFAULT) -> tuple[Array, int]:
     return found[-1].traction_force.sum((0, 1)), sum(state.iterations for state in found)
 
 
+@pytest.mark.slow
 def test_a_long_slide_in_one_load_step_ends_where_short_frames_do() -> None:
     """Half its force off where new points touch by the way of the press before; 1.1 % here, and as near where steps
     begin from the gel left behind."""

@@ -176,6 +176,7 @@ def test_a_speed_is_a_duration_over_the_way(tmp_path: Path) -> None:
         scene_of_row.build(plan.load(still).rows[0])
 
 
+@pytest.mark.slow
 def test_the_shipped_recipe_relaxes_and_loses_what_it_says(tmp_path: Path) -> None:
     row = plan.load(ROOT / "recipes/relaxation.yaml", ["quality=draft", "outputs=[force]"]).rows[0]
     kept = bundle.read(pipeline.run_scene(row, tmp_path).path)

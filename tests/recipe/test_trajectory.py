@@ -95,6 +95,7 @@ def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pyt
     assert bundle.read(found.path).frames == 0
 
 
+@pytest.mark.slow
 def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And what comes before it is kept."""
     segments = "press: {depth_mm: 0.3, frames: 1}\npress: {force_n: 500, frames: 1}\nrelease: {frames: 1}"

@@ -29,6 +29,7 @@ def test_the_camera_sees_the_inner_side_of_the_skin():
     assert FACE.at([[0.0, 0.0], [3.0, 1.0]])[:, 2] == pytest.approx(-0.3)
 
 
+@pytest.mark.slow
 def test_transport_agrees_with_volpath_within_its_noise(renderer):
     tracer = PathTracer(sensor(), renderer.sheet, False, mitsuba_variants.SCALAR)
     halves = np.array([tracer.radiance(DENT, 192, seed) for seed in (1, 2)])
@@ -217,6 +218,7 @@ def test_leds_in_the_air_face_take_its_place() -> None:
     assert [k for k in mitsuba_dicts.interfaces(panels(-4.25)) if k.startswith("into_plate")] == ["into_plate"]
 
 
+@pytest.mark.slow
 def test_light_from_the_air_face_is_that_of_leds_just_above_it() -> None:
     """It was traced so before, with two surfaces where there is one now."""
     light = []

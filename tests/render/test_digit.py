@@ -81,6 +81,7 @@ def test_the_outline_has_one_round_end(digit: Sensor) -> None:
     assert area == pytest.approx(18.35 * (2 * half - r) + np.pi * r**2 / 2, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_columns_are_squeezed_under_the_dome_and_no_cell_is_bad(pressed: Run) -> None:
     grid, gel = pressed.problem.mesh, pressed.scene.gel
     assert len(grid.points) < 8000
@@ -103,6 +104,7 @@ def test_layers_share_the_squeeze() -> None:
     assert not np.signbit(flat.top(np.zeros(2), np.array([-3.0, 3.0]))).any()  # a flat face stays at z = 0, bit by bit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sets", FINE)
 def test_force_of_a_press_at_default_quality(sets: tuple[str, ...], pressed: Run) -> None:
     found = pressed if sets == OFF else solved(sets)

@@ -20,6 +20,7 @@ class Sheared:
         return np.column_stack([x + 0.5 * bump, y - 0.2 * bump, -0.6 * bump])
 
 
+@pytest.mark.slow
 def test_a_shear_of_half_a_millimetre_is_right_to_a_twentieth_of_a_pixel() -> None:
     model = sensor(camera={"mm_per_px": 0.08, "width_px": 100, "height_px": 80})
     error = flow.measure(model, Untouched(), Sheared(), mitsuba_variants.SCALAR, spp=100)

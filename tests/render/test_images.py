@@ -137,6 +137,7 @@ def test_a_scene_built_again_draws_the_same_numbers(tracer):
         assert np.array_equal(again.radiance(DENT, 4, 7), first)
 
 
+@pytest.mark.slow
 def test_a_window_shows_what_the_whole_picture_shows_there(tracer):
     """And the whole picture is the same after as before; nan where no window is."""
     windows = [(3, 20, 1, 1), (10, 4, 20, 6), (39, 31, 1, 1)]
@@ -151,6 +152,7 @@ def test_a_window_shows_what_the_whole_picture_shows_there(tracer):
     assert np.array_equal(tracer.radiance(DENT, 256, 1), whole)
 
 
+@pytest.mark.slow
 def test_bytes_are_the_same_at_any_thread_count(tmp_path, monkeypatch):
     """Of a clear gel and of one that scatters: here, and in a process of more threads."""
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "here"))

@@ -32,6 +32,7 @@ def press(row: Row) -> Run:
     return run(scene_of_row.build(row))
 
 
+@pytest.mark.slow
 def test_force_of_a_press_at_default_quality(press: Run) -> None:
     assert len(press.problem.mesh.points) < 7000
     assert -press.forces[-1, 2] == pytest.approx(FINE, rel=0.015)

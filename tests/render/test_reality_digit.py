@@ -47,6 +47,7 @@ def changes(renderer, untouched):
     return press, press.picture.astype(float) - unit.untouched, made.astype(float) - untouched
 
 
+@pytest.mark.slow
 def test_the_camera_mixes_the_colours(changes):
     """In the contact, green and blue rise in the same direction as photographed: each channel has a share of the
     others, some negative. Without the matrix rendered green is 27 deg off here."""

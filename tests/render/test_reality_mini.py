@@ -26,6 +26,7 @@ def test_background_means_lie_in_the_real_units_spread_and_red_peaks_in_the_midd
     assert np.sqrt(np.mean((untouched - photographs.unit("gelsight_mini").untouched.astype(float)) ** 2)) < 6
 
 
+@pytest.mark.slow
 def test_dots_are_as_large_and_as_dark_as_on_a_real_gel():
     """Of another unit: 11.3 px across at 0.6 of the coat's counts, pitch 32.3 px, and 0.38 of the coat's in them."""
     renderer = images.Renderer(reality.sensor("gelsight_mini"), 64, 0, True, mitsuba_variants.SCALAR)
@@ -39,6 +40,7 @@ def test_dots_are_as_large_and_as_dark_as_on_a_real_gel():
     assert share[cell].min() == pytest.approx(0.38, abs=0.04)
 
 
+@pytest.mark.slow
 def test_colours_change_with_the_slope_as_on_the_real_unit_and_a_net_learns_from_them(monkeypatch):
     """Half the dents and steps of a calibration."""
     monkeypatch.setattr(likeness, "DENTS", 96)

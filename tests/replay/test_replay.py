@@ -93,6 +93,7 @@ def run(log: Path, recipe: Path, out: Path, *more: str) -> Result:
     return CliRunner().invoke(app, [*arguments, *more])
 
 
+@pytest.mark.slow
 def test_the_error_of_a_simulator_is_found_to_rounding(world: World, recipe: Path, tmp_path: Path) -> None:
     """Sensor and ball move in the world, and the simulator's forces are 1.2 times tacgen's."""
     log, out = world.save(tmp_path / "log.npz"), tmp_path / "out"
