@@ -38,6 +38,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_what_is_published_is_whole_and_in_the_splits_of_the_data_set(
     sample: ModuleType, data: Path, tmp_path: Path
 ) -> None:

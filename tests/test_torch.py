@@ -166,6 +166,7 @@ def paired(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loose", "packed"])
 def test_pairs_are_frames_of_one_contact(paired: Path, kind: str) -> None:
     pairs = TactilePairs(paired.parent / kind, ("force",))
@@ -183,6 +184,7 @@ def test_pairs_are_frames_of_one_contact(paired: Path, kind: str) -> None:
         pairs[len(pairs)]
 
 
+@pytest.mark.slow
 def test_a_contact_is_in_one_part_on_all_its_sensors(paired: Path, folder: Path) -> None:
     parts = {}
     for part in ("train", "val", "test"):

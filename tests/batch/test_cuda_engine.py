@@ -95,6 +95,7 @@ def test_a_solution_is_labelled_without_another_coarse_solve(
     assert cuda_engine.run_scene(row, tmp_path).status == "ok"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("outputs", "elements"), [("force, rgb", False), ("force, stress", True)])
 def test_known_frames_are_labelled_without_matrices(
     outputs: str, elements: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

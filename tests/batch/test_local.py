@@ -160,6 +160,7 @@ def test_every_kind_of_lost_worker_costs_one_scene_which_a_later_run_makes(tmp_p
     assert survey(out).count() == {"ok": 8}
 
 
+@pytest.mark.slow
 def test_a_worker_that_eats_the_memory_is_stopped(tmp_path: Path):
     out = tmp_path / "out"
     spoil(out, "scene-00001", "eat")

@@ -68,6 +68,7 @@ def test_the_page_is_made_of_what_was_found(tmp_path: Path) -> None:
     assert found["made"]["date"] in page
 
 
+@pytest.mark.slow
 def test_a_part_made_again_leaves_the_others(tmp_path: Path) -> None:
     for name, seconds in (("mechanics", 1.0), ("pay", 2.0), ("mechanics", 3.0)):
         results_page.write(tmp_path / "results", name, result(seconds), 1.0)

@@ -56,6 +56,7 @@ def test_pictures_of_the_sensor_itself_are_alike(alike):
     assert alike.noisy == pytest.approx(alike.normals, abs=1e-9)  # this camera has no noise
 
 
+@pytest.mark.slow
 def test_half_the_change_is_reported(compared, unit, alike):
     untouched, presses, faces = unit
     weak = [replace(p, picture=(untouched + 0.5 * (p.picture.astype(float) - untouched))) for p in presses]

@@ -98,6 +98,7 @@ def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) ->
     assert (done.exit_code, out.is_file()) == (0, True)
 
 
+@pytest.mark.slow
 def test_a_fit_that_helps_is_written_with_its_scores_and_drawn(tmp_path: Path) -> None:
     out, figure = tmp_path / "mine.yaml", tmp_path / "unseen.png"
     unit = sensor(leds=[{**led, "power": 1.5} for led in PLAIN["leds"]], camera=FINE, markers=None)

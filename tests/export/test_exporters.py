@@ -140,6 +140,7 @@ def tables(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path, scene: Bundle, tables: Path):
     parquet = needs("pyarrow.parquet")
     info = json.loads((tables / "meta" / "info.json").read_text())

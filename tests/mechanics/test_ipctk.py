@@ -89,6 +89,7 @@ def test_a_facet_is_covered_once(nodes: int) -> None:
     assert N.sum(1) == pytest.approx(np.ones(len(N)))
 
 
+@pytest.mark.slow
 def test_gradient_is_the_slope_of_the_energy(plate: MeshContact) -> None:
     for contact in (plate, turned_ball(crossings=True)):
         x = bent()

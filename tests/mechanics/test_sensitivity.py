@@ -73,6 +73,7 @@ def test_without_friction_they_are_what_solving_again_gives() -> None:
         assert found[name][2] == pytest.approx(value[2], rel=0.01), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("substeps", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_with_friction_they_follow_the_path(substeps: bool) -> None:
     """Partly slipping, after a press whose points stuck where they first touched."""

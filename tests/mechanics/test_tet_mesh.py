@@ -60,6 +60,7 @@ def test_the_boundary_is_the_gels(domed: mesh.GelMesh) -> None:
     assert np.median(np.abs(np.hypot(end[:, 0], end[:, 1] + 1) - 4.5)) < 1e-3  # curved edges, not chords
 
 
+@pytest.mark.slow
 def test_layers_meet_at_the_interface(domed: mesh.GelMesh) -> None:
     x, corners = domed.points, domed.cells[:, :4]
     shared = np.intersect1d(domed.cells[domed.layer == 0], domed.cells[domed.layer == 1])
@@ -172,6 +173,7 @@ def test_a_flat_tet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         mesh.of(pressed(DOMED, "linear_tet"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["tet", pytest.param("linear_tet", marks=pytest.mark.slow)])
 def test_a_press_on_tets_and_on_hexes(element: str) -> None:
     """Quadratic tets agree with hexes; linear ones are far too stiff, which is why they are not the default."""

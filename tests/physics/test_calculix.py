@@ -71,6 +71,7 @@ def test_force_of_a_smaller_sphere_on_a_softer_gel() -> None:
     assert -solved(row).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)
 
 
+@pytest.mark.slow
 def test_contact_radius(row: Row, maps: Maps) -> None:
     """In plan, as CalculiX's is: the rim lies 0.26 mm below the face's rest."""
     ends = PinholeCamera.from_sensor(row.sensor).project(np.array([[-1.0, 0.0, -0.26], [1.0, 0.0, -0.26]]))

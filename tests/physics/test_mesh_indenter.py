@@ -33,6 +33,7 @@ def test_a_ball_of_triangles_presses_as_a_ball(tmp_path: Path):
     assert np.linalg.norm(force) > 1
 
 
+@pytest.mark.slow
 def test_letters_are_reached_in_one_step():
     """Friction with normals that are not of length one stalled here."""
     press = "trajectory=[{press: {depth_mm: 0.4, frames: 2}}]"

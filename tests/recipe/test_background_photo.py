@@ -26,6 +26,7 @@ def recipe(tmp_path: Path) -> Path:
     return tmp_path / "own.yaml"
 
 
+@pytest.mark.slow
 def test_the_change_is_rendered_and_the_rest_is_the_photograph(recipe: Path) -> None:
     made, plain = (
         bundle.read(pipeline.run_scene(plan.load(recipe, sets).rows[0], recipe.parent / name).path)

@@ -45,6 +45,7 @@ def test_transport_agrees_with_volpath_within_its_noise(renderer):
     assert image[near].mean() == pytest.approx(truth[near].mean(), rel=0.06)
 
 
+@pytest.mark.slow
 def test_maps_are_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch):
     monkeypatch.setattr(traced_maps, "PathTracer", None)  # any tracing now would fail
     data = sensor().model_dump()

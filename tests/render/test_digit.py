@@ -137,6 +137,7 @@ def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float
     assert -1e-5 < gap < 5e-4  # this grid misses the place a little
 
 
+@pytest.mark.slow
 def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -> None:
     gel, state = pressed.scene.gel, pressed.states[-1]
     surface, camera = pressed.face, PinholeCamera.from_sensor(digit)

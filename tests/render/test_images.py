@@ -57,6 +57,7 @@ def test_narrow_light_is_as_path_has_it():
     assert corners[0] == pytest.approx(corners[1], rel=0.05)
 
 
+@pytest.mark.slow
 def test_light_goes_through_strips_that_stand_for_it():
     """Dark ones before the others' mirror images, far larger than they: as if they were not there."""
     dark = {"size_mm": [9, 3], "center_mm": [0, -4.6, -3.2], "radiance": [0, 0, 0], "see_through": True}

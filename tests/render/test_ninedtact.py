@@ -39,6 +39,7 @@ def test_force_of_a_press_at_default_quality(press: Run) -> None:
     assert press.states[-1].substeps == 1
 
 
+@pytest.mark.slow
 def test_the_maps_see_the_press(press: Run, row: Row) -> None:
     """0.0509 mm/px at the middle of the skin's outer side, and the force is in view."""
     camera = PinholeCamera.from_sensor(row.sensor)

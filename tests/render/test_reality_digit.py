@@ -71,6 +71,7 @@ def lost(press, change, way, distance):
     return change[np.hypot(across - at[0], down - at[1]) < 8].mean(axis=0)
 
 
+@pytest.mark.slow
 def test_each_led_casts_its_fan_where_the_real_one_does(changes):
     """Beyond the dent the blue falls upward, the green to the lower right, the red to the lower left."""
     press, *both = changes
