@@ -90,6 +90,7 @@ def _record(
         None if history.velocity is None else (solution.x - history.x) / step.duration,
         history.x,
         internal,
+        now.damped > 0 or (history.folded and bool(history.normal_force.any())),
         None if step.prediction is None else step.prediction.error(solution.x),
         None if step.prediction is None else step.prediction.x,
     )

@@ -34,6 +34,7 @@ from tacgen.mechanics.contact_newton import (
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.failures import Failure, no_equilibrium
 from tacgen.mechanics.line_search import backtrack
+from tacgen.mechanics.load_stepping import may_damp
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
@@ -119,6 +120,8 @@ def damp(problem: Problem, now: SolveState) -> Result:
     if not newton.new:
         newton = replace(newton, damping=linear.damping, new=True, linear=None)
         return Outcome.missing, replace(now, newton=newton)
+    if not may_damp(now.history, now.legs[0], problem.options):
+        return Outcome.failure, now.failed(Failure.folds)
     if linear.damping > DAMPING_MAX:
         return Outcome.failure, failed(now, newton.at.x, newton.steps)
     quadratic = replace(linear.quadratic, schur=linear.quadratic.schur.more_damped())
@@ -189,6 +192,8 @@ def measure(problem: Problem, now: SolveState) -> Result:
         rate = (2 if newton.new else 1) * residual / before
     new = not options.keep_tangent or step.part < 1 or _slow(options, residual, rate)
     damping = _next_damping(options, step, damping, residual < before)
+    if damping > 0 and not may_damp(now.history, now.legs[0], options):
+        return Outcome.failure, now.failed(Failure.folds)
     return Outcome.more, replace(now, newton=replace(newton, rate=rate, damping=damping, new=new))
 
 

@@ -127,8 +127,9 @@ def _recorded(b: Batch, row: int, arrays: list[Array], mean: float, figures: lis
     offset, kappa, least_force = (float(part) for part in arrays[8:])
     leg, (least_gap, least_J, residual, balance, *_) = course.legs[0], figures
     after = History(
-        Pose.of(leg.b), x, offset, N, normal, anchor, gap, kappa, least_force, None, before.x, {}, None, None
-    )
+        Pose.of(leg.b), x, offset, N, normal, anchor, gap, kappa, least_force, None, before.x, {},
+        course.damped > 0 or (before.folded and bool(before.normal_force.any())),
+    )  # fmt: skip
     rubbed = problem.friction > 0
     state = State(
         course.index, leg.b, x, N, world, friction if rubbed else None, sliding if rubbed else None, course.steps, 1,
