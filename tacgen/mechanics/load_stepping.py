@@ -63,8 +63,8 @@ def halved(leg: Leg, failure: Failure, options: SolverOptions) -> tuple[Leg, ...
 
 
 def may_damp(history: History, leg: Leg, options: SolverOptions) -> bool:
-    """Whether a load step may be damped: it is short enough that only a fold can need that, or the gel has folded."""
-    return history.folded or leg.halved >= options.fold_halvings
+    """Whether a load step may be damped: it is so short that only a fold needs that, or the gel has folded before."""
+    return options.through_folds and (history.folded or leg.halved >= options.fold_halvings)
 
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:

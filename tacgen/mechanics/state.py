@@ -54,15 +54,11 @@ class State:
     balance: float  # |indenter force + base reaction| / indenter force
     least_J: float  # certified lower bound of J over all of the gel [-]
     damped: int = 0  # of the iterations, those that needed damping: the gel was unstable
+    unique: bool = True  # no damped step since the gel was last untouched
     rounded: float = 0.0  # friction at points that crossed a sharp edge in one step, over the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History
     after: History | None = None  # at its end
     passed: tuple[History, ...] = ()  # at the ends of its load steps but the last
-
-    @property
-    def unique(self) -> bool:
-        """Whether no step was damped since the gel was last untouched."""
-        return self.after is None or not self.after.folded
 
     @property
     def traction_force(self) -> Array:
