@@ -90,6 +90,7 @@ def _record(
         None if history.velocity is None else (solution.x - history.x) / step.duration,
         history.x,
         internal,
+        folds_on(history, now.damped),
         None if step.prediction is None else step.prediction.error(solution.x),
         None if step.prediction is None else step.prediction.x,
     )
@@ -98,8 +99,13 @@ def _record(
     return after, State(
         now.index, now.legs[0].b, solution.x, forces.N, forces.normal, friction, sliding, now.steps, 1, contact.offset,
         mean, solution.least_gap, residual, balance, least_J, now.damped, rounded=rounded(step.problem, history, after),
-        internal=internal, after=after,
+        unique=not after.folded, internal=internal, after=after,
     )  # fmt: skip
+
+
+def folds_on(before: History, damped: int) -> bool:
+    """Whether a gel has folded since it was last untouched, after a load step with so many damped steps."""
+    return damped > 0 or (before.folded and bool(before.normal_force.any()))
 
 
 def sharp(problem: Problem) -> bool:

@@ -4,7 +4,8 @@
         K <- tangent of the bulk at x, factorised            (kept while it contracts well)
         S <- Schur complement of K on the nodes near contact
         solve  (S + d S_0) u + load + contact(u) + friction(u) = 0        (see contact_newton)
-            where that is unstable, or steps go in circles, d grows (Levenberg-Marquardt)
+            where that is unstable, or steps go in circles, the load step is halved; in its quarters d grows
+            (Levenberg-Marquardt)
         p <- the step of all nodes that goes with u
         x <- x + a p   with the first a = 1, 1/2, 1/4... that lowers the energy, normal forces frozen
 
@@ -13,6 +14,7 @@ after it; phases.TRANSITIONS says which comes next.
 
 Folding of the gel's surface and wrinkling of its skin are instabilities: no quasi-static path continues, however short
 the load steps are. There the damped steps decrease the energy until the next equilibrium, like a slightly viscous gel.
+In a load step that is merely long they would too, so damping waits until it has been halved.
 """
 
 import logging
@@ -35,6 +37,7 @@ from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.failures import Failure, no_equilibrium
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
+from tacgen.mechanics.load_stepping import may_damp
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
@@ -113,12 +116,15 @@ def contact(problem: Problem, now: SolveState) -> Result:
 
 
 def damp(problem: Problem, now: SolveState) -> Result:
-    """No step lowers the energy: with a kept tangent, a new one; with a new one, more damping."""
+    """No step lowers the energy: with a kept tangent, a new one; with a new one, a shorter load step; in one that is
+    short, more damping."""
     newton = known(now.newton)
     linear = known(newton.linear)
     if not newton.new:
         newton = replace(newton, damping=linear.damping, new=True, linear=None)
         return Outcome.missing, replace(now, newton=newton)
+    if not may_damp(now.history, now.legs[0], problem.options):
+        return Outcome.failure, now.failed(Failure.folds)
     if linear.damping > DAMPING_MAX:
         return Outcome.failure, failed(now, newton.at.x, newton.steps)
     quadratic = replace(linear.quadratic, schur=linear.quadratic.schur.more_damped())
@@ -167,8 +173,6 @@ def measure(problem: Problem, now: SolveState) -> Result:
     """The residual after a step: whether it is small enough, and else the damping and the tangent of the next one."""
     newton, options = known(now.newton), problem.options
     step, damping, at = known(newton.stepped), known(newton.linear).damping, newton.at
-    if damping > 0 and not options.through_folds:
-        return Outcome.failure, now.failed(Failure.folds)
     there, moved = step.there, float(np.abs(step.there.x - at.x).max())
     J = problem.tangent.predicted(at, there) if options.mixed_pressure else there.J
     before, residual = newton.residual, _residual(problem, now.history, step)
@@ -189,6 +193,8 @@ def measure(problem: Problem, now: SolveState) -> Result:
         rate = (2 if newton.new else 1) * residual / before
     new = not options.keep_tangent or step.part < 1 or _slow(options, residual, rate)
     damping = _next_damping(options, step, damping, residual < before)
+    if damping > 0 and not may_damp(now.history, now.legs[0], options):
+        return Outcome.failure, now.failed(Failure.folds)
     return Outcome.more, replace(now, newton=replace(newton, rate=rate, damping=damping, new=new))
 
 

@@ -133,7 +133,6 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
     each behind its solves. Raises NotConverged: a frame has no solution."""
     history, last = problem.rest(Pose.of(scene.start)), scene.start
     forced, shift, before, start_force = scene.forced, 0.0, 0.0, 0.0
-    previous: State | None = None
     for index, pose in enumerate(scene.poses[: forced.end if forced else None]):
         duration = math.inf if scene.duration is None else float(scene.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
@@ -158,8 +157,7 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
             history, state = task.now.reached()
         if forced is not None:
             before = normal_force(state)
-        previous = state.following(previous)
-        yield previous
+        yield state
         last = state.pose
 
 

@@ -98,7 +98,7 @@ def held(grasp: GraspScene, problems: tuple[Problem, Problem], *, tol: float | N
         frame = Frame(grasp, problems, last, index, begun, problems[0].options.force_tol if tol is None else tol)
         last, mode = frame.find(mode)
         gripper = grasp.gripper[index]
-        states = tuple(gel[1].following(was) for gel, was in zip(last.gels, states or (None, None), strict=True))
+        states = tuple(gel[1] for gel in last.gels)
         fingers = tuple(gripper @ finger(side, last.width) for side in (0, 1))
         pose, left = gripper @ last.pose, frame.unborne(last)
         yield Held(states, pose, fingers, last.width, mode, left, frame.balance(last, mode))  # type: ignore[arg-type]

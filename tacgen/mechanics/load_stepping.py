@@ -17,7 +17,6 @@ from tacgen.mechanics.solve_state import Leg, SolveState, known
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
-FOLD_HALVINGS = 2  # most halvings of a load step until a damped step counts as a fold
 TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
 
 
@@ -55,12 +54,17 @@ def halve(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
 def halved(leg: Leg, failure: Failure, options: SolverOptions) -> tuple[Leg, ...]:
     """Two halves of a load step that failed; none if it has been halved as often as its failure allows."""
     farther = failure == Failure.too_far
-    most = FOLD_HALVINGS if failure == Failure.folds else options.halvings
+    most = options.fold_halvings if failure == Failure.folds else options.halvings
     if (leg.far == TOO_FAR if farther else leg.halved >= most) or failure == Failure.effort:
         return ()
     middle, times, far = between(leg.a, leg.b, leg.turn, 0.5), leg.halved + (not farther), leg.far + farther
     half = leg._replace(turn=leg.turn / 2, duration=leg.duration / 2, halved=times, far=far, budget=False)
     return half._replace(b=middle), half._replace(a=middle)
+
+
+def may_damp(history: History, leg: Leg, options: SolverOptions) -> bool:
+    """Whether a load step may be damped: it is so short that only a fold needs that, or the gel has folded before."""
+    return options.through_folds and (history.folded or leg.halved >= options.fold_halvings)
 
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:

@@ -24,6 +24,8 @@ class SolverOptions:
     patience: float = 2.0  # refactorise if more steps are predicted: a factorisation costs about two
     mixed_pressure: bool = True  # tangents use the pressure that the linearised step predicts
     through_folds: bool = True  # damped steps lead through instabilities; without them a frame that needs one fails
+    # halvings of a load step before it may be damped: steps that are merely long need no damping in their quarters
+    fold_halvings: int = 2
     # load stepping
     predict: bool = True  # Newton starts from the gel moved along with the indenter
     sink: float = 0.8  # of the edge: largest depth of the new pose inside the gel of the last step; deeper is slower

@@ -25,6 +25,7 @@ class History:
     velocity: Array | None  # (n, 3) [mm/s], with inertia
     before: Array  # x one load step earlier, from which lagged friction extrapolates
     internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
+    folded: bool = False  # a step was damped since the gel was last untouched
     predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)
     predicted: Array | None = None  # x (n, 3) by this load step's predictor
 
@@ -58,11 +59,6 @@ class State:
     internal: dict[int, Array] = field(default_factory=dict)  # see History
     after: History | None = None  # at its end
     passed: tuple[History, ...] = ()  # at the ends of its load steps but the last
-
-    def following(self, before: "State | None") -> "State":
-        """This state as the frame after another one: whether it is unique."""
-        stable = before is None or before.unique or not before.normal_force.any()
-        return replace(self, unique=stable and not self.damped)
 
     @property
     def traction_force(self) -> Array:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.admission import NEGLIGIBLE, STIFFENINGS, rounded
+from tacgen.mechanics.admission import NEGLIGIBLE, STIFFENINGS, folds_on, rounded
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.load_step import INSIDE, STIFFER
 from tacgen.mechanics.load_stepping import halved
@@ -127,13 +127,14 @@ def _recorded(b: Batch, row: int, arrays: list[Array], mean: float, figures: lis
     offset, kappa, least_force = (float(part) for part in arrays[8:])
     leg, (least_gap, least_J, residual, balance, *_) = course.legs[0], figures
     after = History(
-        Pose.of(leg.b), x, offset, N, normal, anchor, gap, kappa, least_force, None, before.x, {}, None, None
-    )
+        Pose.of(leg.b), x, offset, N, normal, anchor, gap, kappa, least_force, None, before.x, {},
+        folds_on(before, course.damped),
+    )  # fmt: skip
     rubbed = problem.friction > 0
     state = State(
         course.index, leg.b, x, N, world, friction if rubbed else None, sliding if rubbed else None, course.steps, 1,
         offset, mean, least_gap, residual, balance, least_J, course.damped,
-        rounded=rounded(problem, before, after), after=after,
+        rounded=rounded(problem, before, after), unique=not after.folded, after=after,
     )  # fmt: skip
     course.state = state if course.state is None else joined(course.state, state)
     course.history, course.legs = after, course.legs[1:]

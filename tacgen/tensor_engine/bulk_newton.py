@@ -14,8 +14,10 @@ from torch import Tensor
 from tacgen.mechanics.bulk_newton import DAMPING_MAX, MIN_GAIN, ROUNDING, SHORTEST
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.mechanics.failures import SQUEEZED, Failure, NotConverged
+from tacgen.mechanics.load_stepping import may_damp
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
+from tacgen.mechanics.solve_state import known
 from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
@@ -175,13 +177,17 @@ def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tenso
 
 
 def damp(b: Batch, rows: list[int]) -> list[Outcome]:
-    """No step lowers the energy: with kept tangents, new ones; with new ones, more damping."""
+    """No step lowers the energy: with kept tangents, new ones; with new ones, shorter load steps; in those that are
+    short, more damping."""
     outcomes, again = [], []
     for row in rows:
         course = b.courses[row]
         if not course.new:
             course.damping, course.new = course.inner_damping, True
             outcomes.append(Outcome.missing)
+        elif not may_damp(known(course.history), course.legs[0], b.options):
+            course.failure = NotConverged(Failure.folds)
+            outcomes.append(Outcome.failure)
         elif course.inner_damping > DAMPING_MAX:
             fail(b, row, b.t.x[row], course.newton_steps)
             outcomes.append(Outcome.failure)
@@ -285,9 +291,6 @@ def _measured(
 ) -> Outcome:  # fmt: skip
     """The outcome for one scene, and its next damping and tangent."""
     damping, before, ended = course.inner_damping, course.residual, bool(converged) and course.part == 1
-    if damping > 0 and not options.through_folds:
-        course.failure = NotConverged(Failure.folds)
-        return Outcome.failure
     course.residual, course.newton_damped = residual, course.newton_damped + (damping > 0)
     small = bool(still) and residual <= options.residual_max / 2 and damping == 0
     if ended and (residual <= options.residual_tol or small) and covered:
@@ -303,6 +306,9 @@ def _measured(
         course.damping = damping
     else:
         course.damping = 0.0 if damping <= LEAST_DAMPING else damping / DAMPING_FACTOR
+    if course.damping > 0 and not may_damp(known(course.history), course.legs[0], options):
+        course.failure = NotConverged(Failure.folds)
+        return Outcome.failure
     return Outcome.more
 
 

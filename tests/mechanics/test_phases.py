@@ -74,6 +74,7 @@ RUNS: dict[str, tuple[tuple[Any, ...], str, object]] = {  # press and options; w
     "far away": ((BALL, USUAL, -3.0), "", None),
     "punch, pressed deep": ((CylinderSdf(1.2, 0.2), replace(USUAL, sink=np.inf), 1.2), "", None),
     "folds end it": ((BOX, replace(USUAL, through_folds=False, sink=np.inf), 0.9, 1.2), "", None),
+    "in circles": ((BOX, replace(AT_ONCE, max_contact=1), 0.9, 1.2), "", None),
     "all unknowns": ((BALL, plain(), 0.2), "", None),
     "all unknowns, out of steps": ((BALL, replace(plain(), max_newton=1, halvings=1), 0.2), "", None),
     "out of steps": ((BALL, replace(USUAL, max_newton=1, halvings=1), 0.3), "", None),
