@@ -138,6 +138,9 @@ def run(
             if result.status != "ok":
                 say(f"{result.name}: {result.status}: {result.reason}")
         more = f", {count['failed']} failed" if count["failed"] else ""
+        marks = [one["/frames/quality/unique"] for r in results for one in r.bundles if r.status == "ok"]
+        if folded := sum(int((~mark).sum()) for mark in marks):
+            more += f"; {folded} of {sum(map(len, marks))} frames after a fold of the gel, where forces are not unique"
         say(f"{out}: {counted(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")
     raise typer.Exit(0 if count["ok"] == len(results) else 1)
 

@@ -44,7 +44,8 @@ class TactileDataset:
         merge: `path` may hold several data sets in folders of their own, which are taken as one.
         split: the part of the scenes, chosen by `seed`; no scene is in two parts. `all`: every scene.
         fractions: shares of scenes for train, val and test.
-        unique: leave out frames from a fold of the gel on, whose forces may depend on the step size.
+        unique: leave out frames from a fold of the gel on, whose forces may depend on the step size; `left_out` is
+            their number.
         subtract_reference: subtract the untouched sensor from rgb (then int16), height and markers (float32).
         transform: a function that is applied to each item.
 
@@ -80,6 +81,7 @@ class TactileDataset:
         self.subtract_reference, self.transform = subtract_reference, transform
         each = [np.flatnonzero(scene[UNIQUE]) if unique else np.arange(scene.frames) for scene in self.scenes]
         self._frame = np.concatenate([*each, np.zeros(0, np.int64)])
+        self.left_out = sum(scene.frames for scene in self.scenes) - len(self._frame)
         self._starts = np.concatenate([[0], np.cumsum([len(frames) for frames in each])]).astype(int)
         if self.scenes and not len(self._frame):  # a loss over it would be nan
             raise UserError(f"{path}: no frame of split {split!r} is unique: more scenes, or another split")
@@ -89,7 +91,8 @@ class TactileDataset:
         return int(self._starts[-1])
 
     def __repr__(self) -> str:
-        return f"TactileDataset({len(self)} frames of {len(self.scenes)} scenes: {', '.join(self.fields)})"
+        without = f"; {self.left_out} after a fold left out" if self.left_out else ""
+        return f"TactileDataset({len(self)} frames of {len(self.scenes)} scenes: {', '.join(self.fields)}{without})"
 
     def __getitem__(self, index: int) -> Any:
         """One frame. Raises IndexError, or UserError if the file is damaged there."""

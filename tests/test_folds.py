@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.small_recipe import BALL, HEAD
+from typer.testing import CliRunner
 
 import tacgen
-from tacgen import mechanics, pipeline
+from tacgen import cli, mechanics, pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import FOLDED, check
 from tacgen.errors import UserError
@@ -71,10 +72,21 @@ def test_kept_frames_are_marked_from_the_fold_on(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("folding")
 def test_the_card_counts_folds(tmp_path: Path) -> None:
     (tmp_path / "recipe.yaml").write_text(PRESS)
-    for folds, told in (("keep", "in 2 of 3 frames"), ("end", "ended before the gel folds: 1 frames are here")):
+    by_kind = "in 2 of 3 frames (`/frames/quality/unique`): sphere 2 of 3; press 2 of 3"
+    for folds, told in (("keep", by_kind), ("end", "ended before the gel folds: 1 frames are here")):
         out = tmp_path / folds
         pipeline.run(plan.load(tmp_path / "recipe.yaml", (f"folds={folds}",)).rows, out)
         assert told in dataset_card.text(dataset_summary.look(out))
+
+
+@pytest.mark.usefixtures("folding")
+def test_the_last_line_of_a_run_counts_folds(tmp_path: Path) -> None:
+    (tmp_path / "recipe.yaml").write_text(PRESS)
+    pipeline.run(plan.load(tmp_path / "recipe.yaml").rows, tmp_path / "out")
+    told = CliRunner().invoke(cli.app, ["run", str(tmp_path / "recipe.yaml"), "-o", str(tmp_path / "out")])
+    assert told.exit_code == 0, told.output
+    said = " ".join(told.output.split())
+    assert "1 scene kept, 0 rejected; 2 of 3 frames after a fold of the gel, where forces are not unique" in said
 
 
 def test_folds_is_keep_or_end(tmp_path: Path) -> None:

@@ -214,6 +214,13 @@ def test_both_fingers_of_a_grasp_are_in_the_same_part(tmp_path: Path) -> None:
     assert parts == [4 * FRAMES, 2 * FRAMES, 2 * FRAMES]
 
 
+def test_frames_after_a_fold_are_counted_where_they_are_left_out(tmp_path: Path) -> None:
+    write(tmp_path / "scene.h5", edit=lambda i, arrays: arrays.update({"/frames/quality/unique": i < FRAMES - 1}))
+    assert "left out" not in repr(TactileDataset(tmp_path, ("force",)))
+    kept = TactileDataset(tmp_path, ("force",), unique=True)
+    assert f"{FRAMES - 1} frames of 1 scenes: force; 1 after a fold left out" in repr(kept)
+
+
 def test_a_split_without_unique_frames_is_told(tmp_path: Path) -> None:
     """A mean over it would be nan."""
     write(tmp_path / "scene.h5", edit=lambda _, arrays: arrays.update({"/frames/quality/unique": False}))

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -75,8 +75,7 @@ class Overview(run_status.Survey):
     @property
     def indenters(self) -> list[str]:
         """The different indenters: their shapes, or the files of meshes."""
-        described = (b.recipe.get("indenter", {}) for b in self.bundles)
-        return list(dict.fromkeys(str(i.get("file", i.get("shape", "?"))) for i in described))
+        return list(dict.fromkeys(map(_indenter, self.bundles)))
 
     @property
     def datasets(self) -> dict[str, str]:
@@ -107,10 +106,12 @@ class Overview(run_status.Survey):
     def folds(self) -> list[tuple[int, str]]:
         """Number of scenes with frames that are not unique, and a line that counts these; the same of scenes that end
         before such frames."""
-        marks = [bundle[check.UNIQUE] for bundle in self.bundles if check.UNIQUE in bundle]
-        folded = [int((~mark).sum()) for mark in marks if not mark.all()]
+        marked = [bundle for bundle in self.bundles if check.UNIQUE in bundle]
+        folded = [int((~bundle[check.UNIQUE]).sum()) for bundle in marked if not bundle[check.UNIQUE].all()]
         short = [b for b in self.bundles if b.attrs["status"] == "ok" and b.frames < b.attrs["frames_planned"]]
-        kept = f"{check.FOLDED} in {sum(folded)} of {sum(map(len, marks))} frames (`/frames/quality/unique`)"
+        shares = "; ".join(_folded(marked, names) for names in (_indenters, _movements))
+        of_all = f"in {sum(folded)} of {sum(bundle.frames for bundle in marked)} frames"
+        kept = f"{check.FOLDED} {of_all} (`/frames/quality/unique`): {shares}"
         ended = f"ended before the gel folds: {sum(b.frames for b in short)} frames are here"
         return [(len(each), text) for each, text in ((folded, kept), (short, ended)) if each]
 
@@ -119,6 +120,30 @@ class Overview(run_status.Survey):
         """Shipped objects that were used -> the line on their licence."""
         known = set(assets.list_objects())
         return {name: _licence(name) for name in self.indenters if name in known}
+
+
+def _indenter(bundle: Bundle) -> str:
+    """The indenter's shape, or the file of a mesh."""
+    told = bundle.recipe.get("indenter", {})
+    return str(told.get("file", told.get("shape", "?")))
+
+
+def _indenters(bundle: Bundle) -> Sequence[str]:
+    return [_indenter(bundle)] * bundle.frames
+
+
+def _movements(bundle: Bundle) -> Sequence[str]:
+    return bundle.segments
+
+
+def _folded(bundles: Sequence[Bundle], names: Callable[[Bundle], Sequence[str]]) -> str:
+    """Frames that are not unique, of all, for each of the `names` of frames that has some."""
+    every, folded = Counter[str](), Counter[str]()
+    for bundle in bundles:
+        of_frames = names(bundle)
+        every.update(of_frames)
+        folded.update(name for name, fine in zip(of_frames, bundle[check.UNIQUE], strict=False) if not fine)
+    return ", ".join(f"{name} {count} of {every[name]}" for name, count in folded.most_common())
 
 
 def look(folder: Path, known: Iterable[Bundle] = ()) -> Overview:
