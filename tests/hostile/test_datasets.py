@@ -33,7 +33,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.report import dataset_card, dataset_summary, field_figure, html_report
 
-INPUTS = 7  # of each kind
+INPUTS = 9  # of each kind
 TESTS = Path(__file__).parents[1]
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose, along, between, shortest_turn
-from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, mesh, states
+from tacgen.mechanics import DEFAULT, Failure, NotConverged, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.load_stepping import steps_needed
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solve_state import Leg, SolveState
@@ -183,7 +183,7 @@ def test_a_turn_that_fails_is_halved_on_its_own_way(angle: float, monkeypatch: p
 def test_a_gel_is_dragged_along_on_the_way_that_is_asked_for(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both end at the same pose, and pull the gel around in opposite directions."""
     made = built(PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}", sets=(ROUGH,))
-    problem = Problem.of(made, mesh.of(made))
+    problem = Problem.of(made, mesh.of(made), replace(DEFAULT, fold_halvings=0))
     done = recorded(monkeypatch)
     _, state = states(made, problem)
     steps = np.unwrap([turned(leg.b) for leg in done], period=360)[1:]
