@@ -31,6 +31,7 @@ def shell(folder: Path, command: str) -> int:
     return done.returncode
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("streams", "code"),
     [

@@ -125,6 +125,7 @@ def test_what_a_user_can_mend_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         run(tmp_path / "out", engine="dask")
 
 
+@pytest.mark.slow
 def test_what_goes_into_a_job_script_is_quoted():
     needs("dask_jobqueue")
     script = [sys.executable, TESTS.parent / "scripts" / "slurm.py", "batch", "-o", "out", "--dry-run", "--queue"]

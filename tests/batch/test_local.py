@@ -232,6 +232,7 @@ def test_an_interrupt_is_the_parent_s_alone_from_the_first_moment():
     assert heard[-1][0] == "ready"
 
 
+@pytest.mark.slow
 def test_a_scene_with_maps_or_pictures_gets_help_with_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("tacgen.batch.local.COMPILE", "helpers.scenes:help_compiling")
     monkeypatch.setattr("tacgen.batch.local.cores", lambda: 2)

@@ -170,6 +170,7 @@ def test_a_function_runs_in_its_own_process() -> None:
     assert "math domain error" in str(failed)
 
 
+@pytest.mark.slow
 def test_a_bench_that_fails_is_reported_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks import cost, scaling
 

@@ -259,6 +259,7 @@ def test_a_press_of_known_depth_is_solved_also_where_its_contact_is_known():
 DOME = {"dome": {"radius_x_mm": 40.0, "radius_y_mm": 30.0, "source": "test"}}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_dents")
 @pytest.mark.parametrize(
     ("gel", "given"), [({}, "depth"), ({}, "contact"), ({}, "both"), ({}, "mixed"), (DOME, "depth"), (DOME, "mixed")]

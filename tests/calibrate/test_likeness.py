@@ -118,6 +118,7 @@ def test_noise_in_training_makes_the_network_smooth(monkeypatch):
     assert learnt(10.0) == pytest.approx(np.exp(-((2 * np.pi * 10 / 60) ** 2) / 2), abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_mean_of_several_networks_depends_less_on_their_starts(compared, monkeypatch):
     """Of four members that differ: the squared difference of two halves, over all halves, is half that of two."""
     monkeypatch.setattr(normal_net, "MEMBERS", 4)

@@ -162,6 +162,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> unit.Asked:
 DRIFT = r"dents explain \d+ % of the pictures' change, and light that drifts (9\d|100) %: see"
 
 
+@pytest.mark.slow
 def test_pictures_and_forces_that_drift_in_time_are_no_presses(tmp_path: Path, solved: unit.Asked) -> None:
     file, images = drifting(tmp_path, "spot")
     found, mine = unit.unit(str(file), images, solved), tmp_path / "mine.yaml"

@@ -208,6 +208,7 @@ def test_an_unusable_table_is_reported_in_one_line(unit: LitSensor, tmp_path: Pa
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_thickness_that_the_pictures_leave_open_is_said_and_nothing_written(
     unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

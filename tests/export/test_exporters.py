@@ -26,6 +26,7 @@ from tacgen.export import feats, lerobot, univtac
 from tacgen.torch import TactileDataset
 
 
+@pytest.mark.slow
 def test_feats_gets_forces_by_cell_that_sum_to_the_force(folder: Path, scene: Bundle, tmp_path: Path):
     made = export.export("feats", folder, tmp_path)
     assert len(made) == 2 * FRAMES + 1
@@ -195,6 +196,7 @@ def test_the_task_tells_the_movements_and_none_of_the_labels(scene: Bundle) -> N
     assert task(scene) == "Press the object into the sensor, then slide, hold and twist it."
 
 
+@pytest.mark.slow
 def test_lerobot_names_touch_as_planned_there_and_the_forces_of_cells_sum_to_the_force(
     scene: Bundle, tables: Path
 ) -> None:
@@ -245,6 +247,7 @@ def splits_of(folder: Path) -> dict[str, list[int]]:
     return numbers
 
 
+@pytest.mark.slow
 def test_lerobot_has_the_splits_of_the_data_set_both_fingers_and_the_frames_that_both_have(
     many: Path, tmp_path: Path
 ) -> None:
@@ -263,6 +266,7 @@ def test_lerobot_has_the_splits_of_the_data_set_both_fingers_and_the_frames_that
     assert {name for scenes in listed.values() for name in scenes} == {episode["scene"] for episode in episodes}
 
 
+@pytest.mark.slow
 def test_webdataset_has_the_splits_of_the_data_set_and_both_fingers_in_a_sample(many: Path, tmp_path: Path) -> None:
     needs("webdataset")
     with pytest.warns(LeftOut, match="left out scene-00003-L"):

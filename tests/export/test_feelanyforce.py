@@ -21,6 +21,7 @@ def rows(base: str, split: str) -> list[dict[str, str]]:
         return [{**row, "tactile": base + row["tactile"], "depth": base + row["depth"]} for row in csv.DictReader(file)]
 
 
+@pytest.mark.slow
 def test_its_loader_finds_pictures_depths_and_wrenches(folder: Path, scene: Bundle, tmp_path: Path) -> None:
     base = f"{tmp_path.parent / 'faf'}/"  # a path without the word it replaces
     export("feelanyforce", folder, Path(base))

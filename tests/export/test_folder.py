@@ -38,6 +38,7 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", EXPORTERS)
 def test_nothing_of_an_earlier_and_larger_export_stays(data: Path, tmp_path: Path, kind: str) -> None:
     needs_package_of(kind)

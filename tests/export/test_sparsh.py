@@ -69,6 +69,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_its_loader_finds_pictures_background_forces_and_slip(scenes: Path, tmp_path: Path) -> None:
     export("sparsh", scenes, tmp_path)
     lists = json.loads((tmp_path / "gelsight" / "datasets.json").read_text())

@@ -44,7 +44,11 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("kind", sorted(MUTATIONS.keys() - {"inputs", "numbers", "logs"}))
+LONG = {"bytes", "resealed", "special"}
+KINDS = sorted(MUTATIONS.keys() - {"inputs", "numbers", "logs"})
+
+
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in LONG)) for kind in KINDS])
 def test_a_few_of_each_kind(source: Path, kind: str) -> None:
     found = [attempts.attempt(kind, seed, source) for seed in range(INPUTS)]
     assert [str(a) for a in found if a.outcome not in attempts.GOOD] == []

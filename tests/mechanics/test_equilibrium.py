@@ -47,6 +47,7 @@ def alike(one: list[State], two: list[State], tol: float) -> None:
             assert np.linalg.norm(a.friction - b.friction) < 20 * tol * np.linalg.norm(a.friction)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
     [CylinderSdf(1.2, 0.4), pytest.param(SphereSdf(2.5), marks=pytest.mark.slow)],

@@ -231,6 +231,7 @@ def test_where_nothing_touches_one_iteration_is_enough() -> None:
 AT_ONCE = SolverOptions(sink=np.inf, slide=np.inf, slide_sharp=np.inf, fold_halvings=0)
 
 
+@pytest.mark.slow
 def test_a_deep_press_at_once_goes_in_load_steps_to_the_same_force() -> None:
     """Without friction the way there does not matter: half the tangents, the same answer."""
     made = scene(SphereSdf(4.0), poses([(0, 0, -1.0)]), pad=gel(12, 12, 4.0), edge=0.6)

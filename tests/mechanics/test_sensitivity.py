@@ -66,6 +66,7 @@ def differences(built: Scene, on: mesh.GelMesh, options: mechanics.SolverOptions
     }
 
 
+@pytest.mark.slow
 def test_without_friction_they_are_what_solving_again_gives() -> None:
     built, on, found = slopes(small_recipe.row(PRESS))
     wanted = differences(built, on)

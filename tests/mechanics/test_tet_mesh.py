@@ -72,6 +72,7 @@ def test_layers_meet_at_the_interface(domed: mesh.GelMesh) -> None:
     assert (DOMED.layer_of(x[corners].mean(1)) == domed.layer).all()
 
 
+@pytest.mark.slow
 def test_cells_are_sound(domed: mesh.GelMesh) -> None:
     made = mesh.quality(DOMED, domed)
     assert made["nodes"] == len(domed.points) == len(np.unique(domed.cells))
@@ -192,6 +193,7 @@ def test_a_press_on_tets_and_on_hexes(element: str) -> None:
         assert 1.1 < force["linear_tet"] / force["hex"] < 3
 
 
+@pytest.mark.slow
 def test_a_bundle_on_tets(tmp_path: Path) -> None:
     sets = "mesh=tet", "quality={edge_mm: 0.9, dhat_mm: 0.05}", "outputs=[force, traction, height, stress]"
     row = small_recipe.row("press: {depth_mm: 0.6, frames: 1}", "contact.friction=0.4", *sets)

@@ -25,6 +25,7 @@ def test_an_even_coating_has_no_texture() -> None:
     assert texture(Coating.model_validate(PLAIN["coating"]), SIZE, FINE) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [0.1, 0.4])
 def test_grain_has_the_contrast_and_the_length_that_are_asked_for(length: float) -> None:
     grain = made(grain={**GRAIN, "length_mm": length}) - 1
@@ -81,6 +82,7 @@ def test_wear_takes_the_reflectance_away_in_the_middle() -> None:
     assert sampled(worn, SIZE, places) == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_pattern_moves_with_the_gel() -> None:
     """A face that is shifted sideways shows the same pattern at other pixels."""
     coat = {**PLAIN["coating"], "grain": {**GRAIN, "contrast": 0.1, "length_mm": 0.5}}

@@ -79,6 +79,7 @@ def test_contact_radius(row: Row, maps: Maps) -> None:
     assert pixel * np.sqrt(maps.contact.sum() / np.pi) == pytest.approx(2.32, rel=0.03)
 
 
+@pytest.mark.slow
 def test_peak_pressure(maps: Maps) -> None:
     assert maps.pressure.max() == pytest.approx(0.0874, rel=0.03)
 

@@ -174,6 +174,7 @@ def test_a_scene_has_a_bundle_for_each_finger_and_goes_on_where_it_stopped(tmp_p
     assert not pipeline.run_scene(row, out).seconds  # kept
 
 
+@pytest.mark.slow
 def test_status_and_plan_name_both_bundles(tmp_path: Path) -> None:
     from tacgen import batch
 

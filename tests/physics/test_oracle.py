@@ -139,6 +139,7 @@ def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) 
     assert largest > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["ball slid", *(pytest.param(name, marks=pytest.mark.slow) for name in ("box slid", "capsule twisted"))]
 )

@@ -71,6 +71,7 @@ def test_the_barrier_leaves_no_trace_of_its_range() -> None:
     assert wide == pytest.approx(narrow, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_punch_slid_without_friction_feels_the_mesh_ever_less() -> None:
     """Its rim stands elsewhere in the cells at each place, and their energy is not quite the same: the force along the
     face falls with the third power of the edge or faster, once the rim is about as round as cells are wide."""

@@ -68,6 +68,7 @@ def test_a_long_frame_goes_in_load_steps_that_friction_can_follow(shape: Shape, 
     assert (whole.states[-1].rounded > 0.1) == (longest == "slide_sharp")
 
 
+@pytest.mark.slow
 def test_a_sharp_edge_in_long_frames_is_right() -> None:
     """A wedge of .1 mm on cells of .8 mm: .1 % of its force off frames a quarter as long, whether frames are load steps
     or several; 46 % with lagged friction."""
@@ -111,6 +112,7 @@ def test_an_indenter_turned_over_its_grid_feels_little_of_it() -> None:
     assert force(90) == pytest.approx(force(0), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_bar_twisted_once_around() -> None:
     """1 x 1 x 6, ends held and turned against each other: no inversion, energy rising, Saint-Venant to begin with."""
     side, length, law, turns = np.linspace(-0.5, 0.5, 7), 6.0, NeoHooke(0.05, 2.5), 24

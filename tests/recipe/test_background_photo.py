@@ -53,6 +53,7 @@ SMALL = {  # a sensor's picture, shrunk
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "method"),
     [("gelsight_mini", "path"), ("digit", "transport"), ("digit", "path"), ("ninedtact", "transport")],

@@ -127,6 +127,7 @@ def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeyp
     assert np.isfinite(made.flat()).all()
 
 
+@pytest.mark.slow
 def test_the_fitted_response_acts_on_thickness_alone(renderer):
     table = {"change_mm": (-2.0, 0.0, 0.5), "gain": ((0.2, 0.3, 0.4), (1, 1, 1), (1.5, 1.5, 1.5)), "source": "test"}
     with_it = images.Renderer(sensor(thickness_response=None), 6, 0, False, mitsuba_variants.SCALAR)

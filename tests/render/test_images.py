@@ -34,6 +34,7 @@ def tracer(renderer):
     return PathTracer(renderer.sensor, renderer.sheet, False, mitsuba_variants.SCALAR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surface", [Untouched(), DENT], ids=["flat", "dent"])
 def test_image_agrees_with_path_within_paths_own_noise(renderer, tracer, surface):
     halves = np.array([tracer.radiance(surface, 256, seed) for seed in (1, 2)])
@@ -44,6 +45,7 @@ def test_image_agrees_with_path_within_paths_own_noise(renderer, tracer, surface
     assert corrected < 0.04 * truth.mean()
 
 
+@pytest.mark.slow
 def test_narrow_light_is_as_path_has_it():
     """On a dent, half as bright as even light or less; the emitter of paths is ours."""
     made = sensor(leds=[{**led, "lobe": 3} for led in PLAIN["leds"]])

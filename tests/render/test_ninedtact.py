@@ -51,6 +51,7 @@ def test_the_maps_see_the_press(press: Run, row: Row) -> None:
     assert maps.force[..., 2].sum() == pytest.approx(press.forces[-1, 2], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_traction_is_continuous_across_the_interface_and_stress_in_its_plane_is_not(press: Run) -> None:
     """The skin is three times as stiff as the base, and stretched as much: what acts in its plane differs."""
     problem, x = press.problem, press.states[-1].x

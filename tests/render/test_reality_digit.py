@@ -21,6 +21,7 @@ def untouched(renderer):
     return renderer.develop(renderer.flat())
 
 
+@pytest.mark.slow
 def test_the_untouched_picture_is_like_the_photograph(untouched):
     real = photographs.unit("digit").untouched
     assert untouched.mean(axis=(0, 1)) == pytest.approx(real.mean(axis=(0, 1)), abs=5)
@@ -82,6 +83,7 @@ def test_each_led_casts_its_fan_where_the_real_one_does(changes):
             assert found[channel] == found.min(), (channel, found)
 
 
+@pytest.mark.slow
 def test_shadows_end_where_the_real_ones_do(changes):
     """Which shows that the light is as steep: shadows of low lamps would reach the edge of the pad."""
     press, *both = changes

@@ -13,6 +13,7 @@ pytestmark = reality.needs("gelsight_mini")
 SPREAD = ((66, 83), (95, 122), (105, 124))  # channel means of six real units' backgrounds, R, G, B
 
 
+@pytest.mark.slow
 def test_background_means_lie_in_the_real_units_spread_and_red_peaks_in_the_middle():
     renderer = images.Renderer(reality.sensor("gelsight_mini"), 8, 0, False, mitsuba_variants.SCALAR)
     untouched = renderer.develop(renderer.flat())

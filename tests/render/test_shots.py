@@ -152,6 +152,7 @@ def test_all_frames_are_drawn_at_once_and_are_those_of_the_cpu(
     assert log == ["cuda:0 shared", "radiance of 3", *asked]  # taken again, since it is another one in each thread
 
 
+@pytest.mark.slow
 def test_many_frames_are_drawn_in_turns(
     log: Log, solution: SolvedScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,6 +185,7 @@ def test_what_a_full_device_does_not_draw_the_cpu_draws_and_says_so(
     assert found.verify() == expected.verify()
 
 
+@pytest.mark.slow
 def test_a_scene_drawn_at_once_leaves_nothing_behind(
     log: Log, solution: SolvedScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

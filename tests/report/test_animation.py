@@ -24,6 +24,7 @@ def frames(film: Path) -> list[np.ndarray]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "count", "still"), [pytest.param("webp", 12, 2, marks=pytest.mark.slow), ("webp", 4, 0), ("gif", 3, 0)]
 )
