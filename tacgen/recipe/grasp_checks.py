@@ -32,6 +32,8 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
     ]
     if recipe.trajectory[0].kind != "close" and not wrong:
         wrong.append(Issue(("trajectory", 0), "must be close: a grasp begins with closed fingers"))
+    if recipe.force_error is not None:
+        wrong.append(Issue(("quality", "force_error"), "is not known for a grasp: give edge_mm"))
     still = "has no effect in a grasp, which is quasi-static: leave it out"
     wrong += [
         Issue(("trajectory", i, step.kind, "duration_s"), still)

@@ -140,6 +140,15 @@ class QualityNumbers(Part):
     edge_mm: Positive | None = None
     dhat_mm: Positive | None = None
     spp: Annotated[int, Field(ge=1)] | None = None
+    force_error: Annotated[float, Field(gt=0, le=0.5)] | None = (
+        None  # expected, of the force [-]: chooses edge and dhat
+    )
+
+    @model_validator(mode="after")
+    def _by_one(self) -> "QualityNumbers":
+        if self.force_error is not None and (self.edge_mm is not None or self.dhat_mm is not None):
+            raise ValueError("force_error chooses edge_mm and dhat_mm: give it or them")
+        return self
 
 
 def _quality_tag(value: Any) -> str:
@@ -253,11 +262,16 @@ class Recipe(Part):
         return value
 
     def resolved(self) -> Quality:
-        """The quality as numbers."""
+        """The quality as numbers; those that `force_error` chooses are of `default` until a scene is built."""
         if isinstance(self.quality, str):
             return QUALITIES[self.quality]
-        given = {name: value for name, value in self.quality.model_dump().items() if value is not None}
+        given = self.quality.model_dump(exclude={"force_error"}, exclude_none=True)
         return QUALITIES["default"]._replace(**given)
+
+    @property
+    def force_error(self) -> float | None:
+        """The expected error of the force that is asked for [-]."""
+        return None if isinstance(self.quality, str) else self.quality.force_error
 
     @property
     def frames(self) -> int:

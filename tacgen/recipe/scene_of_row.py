@@ -12,7 +12,7 @@ from tacgen.geometry import mesh_file, mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Triangles
 from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
 from tacgen.mechanics.scene import GelDynamics, Scene
-from tacgen.recipe import indenters, trajectory
+from tacgen.recipe import indenters, quality_by_error, trajectory
 from tacgen.recipe.checks import timed
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.path import Path as IndenterPath
@@ -92,7 +92,17 @@ def gel_of(sensor: Sensor, solid_path: Path | None = None) -> GelBody:
 
 
 def build(row: Row) -> Scene:
-    """The scene of one row of a plan."""
+    """The scene of one row of a plan. Raises UserError: no mesh has the `force_error` that is asked for."""
+    scene = _scene(row)
+    if (error := row.recipe.force_error) is None:
+        return scene
+    if (numbers := quality_by_error.chosen(scene, error)) is None:  # nothing touches
+        return scene
+    numbers = numbers.model_copy(update={"spp": row.recipe.resolved().spp})
+    return _scene(replace(row, recipe=row.recipe.model_copy(update={"quality": numbers})))
+
+
+def _scene(row: Row) -> Scene:
     recipe, quality = row.recipe, row.recipe.resolved()
     gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
     shape = shape_of(row)
