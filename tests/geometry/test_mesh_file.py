@@ -70,6 +70,7 @@ def test_cracks_are_closed_without_meshlab(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_corner_within_a_neighbours_edge_opens_nothing(tmp_path: Path):
+    needs("pymeshlab")
     whole = box(2, 2, 2)
     a, b, c = whole.faces[0]
     corners = [*whole.vertices, whole.vertices[[a, b]].mean(0)]
