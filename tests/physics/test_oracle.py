@@ -122,6 +122,8 @@ def begun(problem: mechanics.Problem, history: History, matrix: Array) -> tuple[
 @all_scenes
 def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) -> None:
     """From the same gel, the same anchors and the same start. Forces are at most 2e-4 apart, pressures .1 %."""
+    if name == "ring twisted":
+        pytest.xfail("twisted by 3 deg at once, facets of the ring have two equilibria, .4 % apart: cause not found")
     made, grid = built(name)
     whole = replace(mechanics.DEFAULT, fold_halvings=0)  # one load step is one load step
     fast, plain = (mechanics.Problem.of(made, grid, options) for options in (whole, mechanics.plain()))
@@ -135,8 +137,6 @@ def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) 
         history, state = equilibrium(fast, history, matrix, index).reached()
         force = true.forces.force.sum((0, 1))
         size, largest = float(np.linalg.norm(force)), max(largest, float(np.linalg.norm(force)))
-        if state.damped:  # unstable at once: there is more than one equilibrium (a ring of triangles, twisted)
-            continue
         assert np.linalg.norm(state.traction_force.sum((0, 1)) - force) <= FORCE * max(size, 0.01 * largest)
         assert np.linalg.norm(state.normal_force - true.forces.N) <= PRESSURE * np.linalg.norm(true.forces.N)
     assert largest > 0.1
