@@ -8,7 +8,7 @@ create no file. On a file system without locks it creates marker files, which a 
 import fcntl
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -90,18 +90,30 @@ def claim(target: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _locked(path: Path, tries: int) -> int | None:
-    """A locked handle of the file; None if another process holds the lock.
+def _alone(handle: int) -> None:
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _locked(
+    path: Path,
+    tries: int,
+    lock: Callable[[int], None] = _alone,
+    wanted: Callable[[int], bool] = lambda _: True,
+) -> int | None:
+    """A handle of the file, locked by `lock`; None if other processes hold the lock, or the file is not as `wanted`.
 
     `sweep` in another process may lock or delete the file between opening and locking, so it is tried several times.
     """
     for _ in range(tries):
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(handle)
             if os.path.samestat(os.fstat(handle), os.stat(path)):
-                return handle
-        except (BlockingIOError, FileNotFoundError):
+                if wanted(handle):
+                    return handle
+                os.close(handle)
+                return None
+        except (BlockingIOError, FileNotFoundError):  # another process locks or deletes it at this moment
             pass
         except OSError:  # a file system without locks
             return handle
@@ -138,26 +150,15 @@ def _shared(path: Path, work: bytes) -> int | None:
     Who is alone writes the work into the file, then shares the lock. That is not atomic: a process that comes between
     writes its own, so what is read under the shared lock decides.
     """
-    for _ in range(50):
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            with suppress(BlockingIOError):
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                os.ftruncate(handle, 0)
-                os.pwrite(handle, work, 0)
-            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(handle), os.stat(path)):
-                if os.pread(handle, len(work) + 1, 0) == work:
-                    return handle
-                os.close(handle)
-                return None
-        except (BlockingIOError, FileNotFoundError):  # another process shares or deletes it at this moment
-            pass
-        except OSError:  # a file system without locks
-            return handle
-        os.close(handle)
-        time.sleep(0.02)
-    return None
+
+    def lock(handle: int) -> None:
+        with suppress(BlockingIOError):
+            _alone(handle)
+            os.ftruncate(handle, 0)
+            os.pwrite(handle, work, 0)
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+
+    return _locked(path, 50, lock, lambda handle: os.pread(handle, len(work) + 1, 0) == work)
 
 
 class Sink:
