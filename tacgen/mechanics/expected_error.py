@@ -162,6 +162,14 @@ class Expected:
         radius = FaceGrid.of(scene.gel).radius(scene.shape, pose)
         return cls(expected_force_error(scene.edge, contact, radius), scene.edge, contact, radius)
 
+    def edge_with(self, error: float, longest: float, ratio: float) -> float:
+        """The longest element edge [mm] with at most this expected error [-], of `longest` and its products with powers
+        of `ratio` [-]."""
+        edge = longest
+        while expected_force_error(edge, self.contact, self.radius) > error:
+            edge *= ratio
+        return edge
+
     def note(self) -> str:
         """A line on the error, as `validate` and the bundle tell it."""
         sharp = f", where the indenter has a radius of {self.radius:.2g} mm" if self.radius < self.edge else ""
@@ -175,9 +183,7 @@ class Expected:
         """Raise UserError if no frame can be right."""
         if self.error <= LARGEST:
             return
-        fine = self.edge
-        while expected_force_error(fine, self.contact, self.radius) > LARGEST / 2:
-            fine *= 0.9
+        fine = self.edge_with(LARGEST / 2, self.edge, 0.9)
         raise UserError(
             f"quality: edges of {self.edge:g} mm are too long for a contact {self.contact.width:.2g} mm wide: forces"
             f" would be about {_rounded(100 * self.error)} % off; ask for quality: {{edge_mm: {fine:.2g}}}"

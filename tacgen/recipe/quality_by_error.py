@@ -26,14 +26,13 @@ def chosen(scene: Scene, error: float) -> QualityNumbers | None:
                 "quality.force_error: is not known for linear tetrahedra and the formulation ipctk: give edge_mm"
             )
         return None
-    edge = min(COARSEST, MAX_EDGE * scene.gel.thickness)
-    while (found := expected_force_error(edge, expected.contact, expected.radius)) > error:
-        edge *= STEP
-        if edge < FINEST:
-            raise UserError(
-                f"quality.force_error: {error:.2g} asks for edges below {FINEST:g} mm, where the expected error is"
-                f" {found:.2g}: ask for a larger one, or for edge_mm"
-            )
+    edge = expected.edge_with(error, min(COARSEST, MAX_EDGE * scene.gel.thickness), STEP)
+    if edge < FINEST:
+        least = expected_force_error(FINEST, expected.contact, expected.radius)
+        raise UserError(
+            f"quality.force_error: {error:.2g} asks for edges below {FINEST:g} mm, where the expected error is"
+            f" {least:.2g}: ask for a larger one, or for edge_mm"
+        )
     return QualityNumbers(edge_mm=float(f"{edge:.3g}"), dhat_mm=float(f"{_range_of(edge):.2g}"))
 
 
