@@ -105,6 +105,7 @@ def run(
     with writing(out):
         probe(out)
         from tacgen import batch
+        from tacgen.bundle.check import UNIQUE
         from tacgen.report import dataset_card
         from tacgen.report.progress import Progress
 
@@ -138,7 +139,8 @@ def run(
             if result.status != "ok":
                 say(f"{result.name}: {result.status}: {result.reason}")
         more = f", {count['failed']} failed" if count["failed"] else ""
-        marks = [one["/frames/quality/unique"] for r in results for one in r.bundles if r.status == "ok"]
+        kept = (one for result in results if result.status == "ok" for one in result.bundles)
+        marks = [one[UNIQUE] for one in kept if UNIQUE in one]
         if folded := sum(int((~mark).sum()) for mark in marks):
             more += f"; {folded} of {sum(map(len, marks))} frames after a fold of the gel, where forces are not unique"
         say(f"{out}: {counted(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")

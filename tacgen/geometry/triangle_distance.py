@@ -176,7 +176,7 @@ def _rounded(
     """
     first, m, slope, v, bend, E, known = work[2], work[3], work[4], work[5], work[6:9], work[9:12], work[12:]
     out, count = low, 1
-    known[0] = work[1]  # the nearest point
+    first[:], bend[:], known[0] = n, D, work[1]  # work[1]: the nearest point
     for i in range(len(near)):
         if away[i] - gap > low + 2 * radius or count == len(known):
             continue
@@ -184,8 +184,6 @@ def _rounded(
         row, a0, a1, a2 = _closest(table[t], x, y, z)
         m[0], m[1], m[2] = x - a0, y - a1, z - a2
         length = np.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
-        if count == 1:  # nothing has been added yet
-            first[:], bend[:] = n, D
         cosine = (first[0] * m[0] + first[1] * m[1] + first[2] * m[2]) / length
         k, u = radius * (1 - cosine), length - low
         if u >= k:
