@@ -37,9 +37,9 @@ def shell(folder: Path, command: str) -> int:
     [
         ("2>/dev/full", 0),
         (">/dev/full 2>&1", 0),
-        pytest.param("2>&1 | head -c 10 >/dev/null", 0, marks=pytest.mark.slow),
+        ("2>&1 | head -c 10 >/dev/null", 0),
         ("--json 2>/dev/null | head -c 10 >/dev/null", 0),
-        pytest.param(">&- 2>&-", 0, marks=pytest.mark.slow),
+        (">&- 2>&-", 0),
         ("<&- >&- 2>&-", 0),
     ],
 )

@@ -84,7 +84,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 # fTetWild needs half a minute for a solid with a sheet between layers
 @pytest.mark.slow
-@pytest.mark.parametrize("text", [ONE_LAYER, pytest.param(SENSOR, marks=pytest.mark.slow)], ids=["one layer", "two"])
+@pytest.mark.parametrize("text", [ONE_LAYER, SENSOR], ids=["one layer", "two"])
 def test_from_a_sensor_file_to_a_bundle(text: str, tmp_path: Path) -> None:
     row = plan.load(folder(tmp_path, sensor=text)).rows[0]
     made = scene_of_row.build(row)

@@ -50,7 +50,7 @@ def alike(one: list[State], two: list[State], tol: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
-    [CylinderSdf(1.2, 0.4), pytest.param(SphereSdf(2.5), marks=pytest.mark.slow)],
+    [CylinderSdf(1.2, 0.4), SphereSdf(2.5)],
     ids=lambda shape: type(shape).__name__,
 )
 def test_the_answer_is_that_of_the_oracle_in_fewer_factorisations(shape: Shape) -> None:

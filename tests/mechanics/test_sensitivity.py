@@ -75,7 +75,7 @@ def test_without_friction_they_are_what_solving_again_gives() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("substeps", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("substeps", [False, True])
 def test_with_friction_they_follow_the_path(substeps: bool) -> None:
     """Partly slipping, after a press whose points stuck where they first touched."""
     moves = "press: {depth_mm: 0.6, frames: 3}, slide: {x_mm: 0.2, frames: 2}"
