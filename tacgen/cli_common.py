@@ -2,6 +2,7 @@
 
 import errno
 import math
+import resource
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ DISK_ERRORS = tuple(
     )
 )
 MAX_DIGITS = 7  # of a number of scenes, which are a million at most
+LEAST_MEMORY = 1_100_000_000  # address space of a small solve [bytes]; with much less, OpenBLAS ends the process
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
@@ -192,7 +194,10 @@ def probe(folder: Path) -> None:
 
 
 def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
-    """The plan of a recipe given by path or name, or a shard of it."""
+    """The plan of a recipe given by path or name, or a shard of it. Raises MemoryError: too little to solve any."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < LEAST_MEMORY:
+        raise MemoryError
     from tacgen.recipe import assets, plan
 
     planned = plan.load(assets.recipe_path(recipe), sets or (), shard)

@@ -398,7 +398,7 @@ def test_a_frame_is_timed_by_stage_and_output_and_weighed_by_dataset() -> None:
         "benchmarks.pipeline:made", "gelsight_mini", pipeline.SMOKE, "traction", pipeline.FEW
     )
     assert 0.3 * found["total"] < sum(found["stages"].values()) <= found["total"] * 1.001
-    assert set(found["outputs"]) == {"force", "traction"}
+    assert set(found["outputs"]) == {"force", "traction", "positions"}
     assert 0.5 * found["stages"]["fields"] < sum(found["outputs"].values()) <= found["stages"]["fields"] * 1.001
     assert max(found["bytes"], key=lambda path: found["bytes"][path]) == "/frames/traction"
     assert sum(found["bytes"].values()) < found["size"]

@@ -42,7 +42,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def done(command: str, data: Path, out: Path) -> subprocess.CompletedProcess[str]:
     recipe = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
     line = command.format(tacgen=f"{sys.executable} -m tacgen", data=data, out=out, recipe=recipe)
-    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=120, env=dict(os.environ))
+    env = {"OPENBLAS_NUM_THREADS": "1", **os.environ}  # a thread takes memory
+    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=120, env=env)
 
 
 @pytest.mark.slow

@@ -36,7 +36,9 @@ QUICK: dict[str, Kind] = {
 }  # fmt: skip
 SLOW: dict[str, Kind] = {
     "cylinder twisted": (NINE, 1.4, 0.4, "shape: cylinder, radius_mm: 2.5, fillet_mm: .8", "press .5 1, twist 8 1"),
-    "ring twisted": (DIGIT, 0.95, 0.5, "shape: mesh, file: ring", "press .5 2, twist 6 2"),
+    "ring twisted": (  # by 1.5 to 3 deg a step two points stand on the crest of an edge: unstable, and up to .4 % off
+        DIGIT, 0.95, 0.5, "shape: mesh, file: ring", "press .5 2, twist 8 2",
+    ),
     "box slid": (  # with friction .8 this mesh has two answers to the first frame of the slide, 4 % apart
         MINI, 0.95, 0.6, "shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: .6", "press .6 2, slide .5 .3 2",
     ),
@@ -64,8 +66,8 @@ SLOW: dict[str, Kind] = {
         DIGIT, 0.9, 0.8, "shape: torus, radius_mm: 2.8, tube_radius_mm: 1.2", "press .5 2, tilt 3 0 2",
     ),
     "letters slid": (MINI, 0.75, 0.5, "shape: mesh, file: letters", "press .4 2, slide .3 0 2"),
-    "key tilted": (NINE, 1.0, 0.7, "shape: mesh, file: key", "press .5 2, tilt 3 80 2"),
-    "gear slid": (DIGIT, 0.9, 0.4, "shape: mesh, file: gear", "press .5 2, slide .4 .2 2"),
+    "key tilted": (NINE, 1.0, 0.7, "shape: mesh, file: key", "press .5 6, tilt 3 80 3"),
+    "gear slid": (DIGIT, 0.9, 0.4, "shape: mesh, file: gear", "press .5 6, slide .4 .2 2"),
     "bolt twisted": (MINI, 0.85, 0.6, "shape: mesh, file: hex_bolt", "press .5 2, twist 8 2"),
 }  # fmt: skip
 EVERY = QUICK | SLOW
@@ -122,8 +124,6 @@ def begun(problem: mechanics.Problem, history: History, matrix: Array) -> tuple[
 @all_scenes
 def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) -> None:
     """From the same gel, the same anchors and the same start. Forces are at most 2e-4 apart, pressures .1 %."""
-    if name == "ring twisted":
-        pytest.xfail("twisted by 3 deg at once, facets of the ring have two equilibria, .4 % apart: cause not found")
     made, grid = built(name)
     whole = replace(mechanics.DEFAULT, fold_halvings=0)  # one load step is one load step
     fast, plain = (mechanics.Problem.of(made, grid, options) for options in (whole, mechanics.plain()))
