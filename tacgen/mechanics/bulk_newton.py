@@ -24,7 +24,7 @@ import numpy as np
 
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk, BulkPoint
-from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING, Condensation
+from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING, Condensation, more
 from tacgen.mechanics.contact_newton import (
     ContactIterate,
     ContactStatus,
@@ -164,8 +164,9 @@ def search(problem: Problem, now: SolveState) -> Result:
     assert last is not None
     there, gain, part = last
     if part < 1:
-        x = there.x[condensed.nodes]
-        inner = replace(inner, x=x, forces=contact.evaluate(x), status=ContactStatus.stopped)
+        x, circling = there.x[condensed.nodes], inner.status is ContactStatus.circling
+        status = ContactStatus.circling if circling else ContactStatus.stopped
+        inner = replace(inner, x=x, forces=contact.evaluate(x), status=status)
     return Outcome.ready, replace(now, newton=replace(newton, stepped=Stepped(there, part, gain, inner)))
 
 
@@ -184,31 +185,44 @@ def measure(problem: Problem, now: SolveState) -> Result:
         newton, at=there, J=J, contact=newton.contact.shrunk(step.inner.contact.contact.offset), residual=residual,
         damped=newton.damped + (damping > 0), linear=None, stepped=None,
     )  # fmt: skip
-    small = moved <= steps_end(problem) and residual <= options.residual_max / 2 and damping == 0
-    if step.inner.converged and (residual <= options.residual_tol or small) and _covered(problem, now.history, newton):
+    end, circling = steps_end(problem), step.inner.status is ContactStatus.circling
+    still, converged, rests = moved <= end, step.inner.converged, circling and step.inner.off <= end
+    if settles(options, residual, damping, still, converged, rests) and _covered(problem, now.history, newton):
         found = Found.coupled(there.x, newton.contact, newton.steps, newton.damped)
         return Outcome.ended, replace(now, newton=newton, found=found)
     rate = newton.rate
     if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one
         rate = (2 if newton.new else 1) * residual / before
-    new = not options.keep_tangent or step.part < 1 or _slow(options, residual, rate)
-    damping = _next_damping(options, step, damping, residual < before)
+    new = not options.keep_tangent or step.part < 1 or slow(options, residual, rate)
+    damping = next_damping(damping, step.part, circling, residual < before)
     if damping > 0 and not may_damp(now.history, now.legs[0], options):
         return Outcome.failure, now.failed(Failure.folds)
     return Outcome.more, replace(now, newton=replace(newton, rate=rate, damping=damping, new=new))
 
 
-def _next_damping(options: SolverOptions, step: Stepped, damping: float, fell: bool) -> float:
-    """Less after a full step; more if its contact did not converge and the residual did not fall: such steps go in
-    circles, each with normal forces of its own."""
-    if not step.inner.converged and step.inner.steps >= options.max_contact:
-        return damping if fell else max(DAMPING_FACTOR * damping, LEAST_DAMPING)
-    if step.part < 1:
+def settles(options: SolverOptions, residual: float, damping: float, still: bool, converged: bool, rests: bool) -> bool:
+    """Whether a step ends Newton's method: its contact converged and the residual [-] is small, or the last step was
+    (`still`) and the residual is half of what a frame may have.
+
+    The same is enough where contact goes in circles and its mean gap agrees (`rests`): a point then goes to and fro
+    over an edge of the indenter, on which it cannot rest, and a shorter load step meets the same edge.
+    """
+    most = options.residual_tol
+    if (still or rests) and damping == 0:
+        most = max(most, options.residual_max / 2)
+    return (converged or rests) and residual <= most
+
+
+def next_damping(damping: float, part: float, circling: bool, fell: bool) -> float:
+    """Less after a full step; more if its contact went in circles and the residual did not fall."""
+    if circling:
+        return damping if fell else more(damping)
+    if part < 1:
         return damping
     return 0.0 if damping <= LEAST_DAMPING else damping / DAMPING_FACTOR
 
 
-def _slow(options: SolverOptions, residual: float, rate: float) -> bool:
+def slow(options: SolverOptions, residual: float, rate: float) -> bool:
     """Whether the kept tangent would need more than `patience` further steps, at a contraction of `rate` each."""
     return rate >= 1 or bool(np.log(options.residual_tol / residual) < options.patience * np.log(rate))
 

@@ -31,6 +31,11 @@ REFINED = 1e-11  # error of a refined solution over its size [-]
 REFINEMENTS = 8  # most refinements; the contact's stiffness takes one or two
 
 
+def more(damping: float) -> float:
+    """The next larger damping, over the stiffness at rest [-]."""
+    return max(DAMPING_FACTOR * damping, LEAST_DAMPING)
+
+
 class Condensation:
     """A factorised tangent condensed to the nodes of some facets; `at_rest` computes the entries of that at rest."""
 
@@ -231,7 +236,7 @@ class Schur:
 
     def more_damped(self) -> "Schur":
         """This Schur complement with the next larger damping."""
-        return self.damped(max(DAMPING_FACTOR * self.damping, LEAST_DAMPING))
+        return self.damped(more(self.damping))
 
     def times(self, u: Array) -> Array:
         """S u (k,); reads half of S."""

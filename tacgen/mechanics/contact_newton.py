@@ -22,6 +22,7 @@ Array = np.ndarray
 ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
 FULL_STEP = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
 SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
+BACK = 0.1  # of the tolerance: distance from where it was two steps before at which an iteration goes in circles [-]
 MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
@@ -98,7 +99,8 @@ class ContactStatus(StrEnum):
 
     running = "running"
     converged = "converged"
-    stopped = "stopped"  # out of steps, or stalled
+    stopped = "stopped"  # stalled
+    circling = "circling"  # back where it was two steps before, or out of steps
     unstable = "unstable"  # a node reached the radius, or no step decreases the merit function
 
 
@@ -118,10 +120,16 @@ class ContactIterate(Generic[P]):
     length: float = np.inf
     drift: float = 0.0
     status: ContactStatus = ContactStatus.running
+    before: "ContactIterate[P] | None" = None  # one step earlier
 
     @property
     def converged(self) -> bool:
         return self.status is ContactStatus.converged
+
+    @property
+    def off(self) -> float:
+        """By how much [mm] the mean gap is not the one by which the indenter is shrunk."""
+        return abs(self.forces.mean_gap - self.contact.contact.offset) if self.forces.N.any() else 0.0
 
 
 def contact_start(bulk: BulkModel[P], contact: CoupledContact, x: Array) -> ContactIterate[P]:
@@ -139,6 +147,7 @@ def contact_step(
     a node has moved by `radius` [mm].
     """
     x, contact, forces, here, g, drift = now.x, now.contact, now.forces, now.here, now.g, now.drift
+    earlier, start = now.before, replace(now, before=None)
     if now.length <= contact.contact.dhat and forces.N.any():  # far from the solution the mean gap is meaningless
         drift = forces.mean_gap - contact.contact.offset
         contact = contact.shrunk(forces.mean_gap)
@@ -146,7 +155,7 @@ def contact_step(
         g = _residual(contact, here, forces)
     now = replace(now, contact=contact, forces=forces, g=g, drift=drift, status=ContactStatus.stopped)
     if now.steps == max_steps:
-        return now
+        return replace(now, status=ContactStatus.circling)
     now = replace(now, steps=now.steps + 1)
     p = bulk.solve(here, contact, forces.tangent, g, False)
     full, fraction = None if p is None else _full(bulk, contact, forces, x, g, p), 1.0
@@ -159,13 +168,15 @@ def contact_step(
         there = x + _to_radius(x - now.start, there - x, radius) * (there - x)
         return replace(now, x=there, forces=contact.evaluate(there), status=ContactStatus.unstable)
     here, forces, g = full or _evaluated(bulk, contact, there)
-    off = forces.mean_gap - contact.contact.offset if forces.N.any() else 0.0
-    status = ContactStatus.running
-    if fraction == 1.0 and length <= xtol and max(abs(drift), abs(off)) <= xtol:
-        status = ContactStatus.converged
-    elif fraction * length < SHORTEST * xtol:
-        status = ContactStatus.converged if length <= xtol else ContactStatus.stopped
-    return replace(now, x=there, forces=forces, here=here, g=g, length=length, status=status)
+    now = replace(now, x=there, forces=forces, here=here, g=g, length=length, status=ContactStatus.running)
+    if fraction == 1.0 and length <= xtol and max(abs(drift), now.off) <= xtol:
+        return replace(now, status=ContactStatus.converged)
+    if fraction * length < SHORTEST * xtol:
+        return replace(now, status=ContactStatus.converged if length <= xtol else ContactStatus.stopped)
+    if earlier is not None and np.abs(there - earlier.x).max() <= BACK * xtol < length:
+        lower = min(now, start, key=lambda one: float(np.linalg.norm(one.g)))
+        return replace(lower, steps=now.steps, length=length, status=ContactStatus.circling)
+    return replace(now, before=start)
 
 
 def solve_contact(

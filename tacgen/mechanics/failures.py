@@ -20,6 +20,8 @@ class Failure(StrEnum):
     effort = f"Newton did not converge in {{steps}} steps, shorter load steps included; {LESS}"
     # the indenter might tunnel through the gel: a shorter load step may do
     too_far = "the gel cannot follow the indenter that far at once"
+    # in a fold it passed through: it would from a shorter load step, too
+    snaps = f"the gel folds, and snaps past a thin part of the indenter; {LESS}"
     unbalanced = (
         "residual {residual:.1e} and balance {balance:.1e} of the contact force, smallest gap {least_gap:.1e} mm"
     )

@@ -116,7 +116,7 @@ class LoadStep:
         contact, problem, history = solution.contact.contact.distance, self.problem, self.history
         reach = contact.shape.reach
         if blocked(contact, history.pose, history.x, history.gap, solution.x):
-            return NotConverged(Failure.too_far)
+            return NotConverged(Failure.snaps if solution.damped else Failure.too_far)
         if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
             return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
         return None

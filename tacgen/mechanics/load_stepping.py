@@ -54,7 +54,7 @@ def halve(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
 def halved(leg: Leg, failure: Failure, options: SolverOptions) -> tuple[Leg, ...]:
     """Two halves of a load step that failed; none if it has been halved as often as its failure allows."""
     farther = failure == Failure.too_far
-    most = options.fold_halvings if failure == Failure.folds else options.halvings
+    most = options.fold_halvings if failure in (Failure.folds, Failure.snaps) else options.halvings
     if (leg.far == TOO_FAR if farther else leg.halved >= most) or failure == Failure.effort:
         return ()
     middle, times, far = between(leg.a, leg.b, leg.turn, 0.5), leg.halved + (not farther), leg.far + farther

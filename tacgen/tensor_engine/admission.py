@@ -44,7 +44,7 @@ def admit(b: Batch, rows: list[int]) -> list[Outcome]:
             course.failure = NotConverged(Failure.inverted, least_J=J)
             outcomes.append(Outcome.failure)
         elif through:
-            course.failure = NotConverged(Failure.too_far)
+            course.failure = NotConverged(Failure.snaps if course.newton_damped else Failure.too_far)
             outcomes.append(Outcome.failure)
         elif deep > INSIDE * reach:
             edge = course.problem.edge

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.bulk_newton import DAMPING_MAX, MIN_GAIN, ROUNDING, SHORTEST
-from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
+from tacgen.mechanics.bulk_newton import DAMPING_MAX, MIN_GAIN, ROUNDING, SHORTEST, next_damping, settles, slow
+from tacgen.mechanics.condensation import more
 from tacgen.mechanics.failures import SQUEEZED, Failure, NotConverged
 from tacgen.mechanics.load_stepping import may_damp
 from tacgen.mechanics.options import SolverOptions
@@ -20,7 +20,7 @@ from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.solve_state import known
 from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Sizes
-from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
+from tacgen.tensor_engine.condensation import acted, condensed, damping, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
 from tacgen.tensor_engine.course import Course, PartOfStep
 from tacgen.tensor_engine.indices import gathered
@@ -253,7 +253,7 @@ def measure(b: Batch, rows: list[int]) -> list[Outcome]:
 
 
 def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
-    """The end of the step, and J there as the next one predicts it. Tells figures (s, 5) for `_measured`."""
+    """The end of the step, and J there as the next one predicts it. Tells figures (s, 6) for `_measured`."""
     t, options = b.t, b.options
     x, there, offset, inner, status, steps, least = gathered(
         s, t.x, t.stepped, t.c_offset, t.c_x[:, : sizes.nodes], t.c_status, t.c_steps, t.h_least
@@ -267,8 +267,10 @@ def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
     unbalanced = _unbalanced(b, t.nodes[s, : sizes.nodes], s, gradient, at_nodes(near, forces.force, sizes.nodes))
     residual = torch.linalg.norm(unbalanced.flatten(1), dim=1) / torch.maximum(forces.total, least)
     covered = covers(b, s, touched(b, s, there, offset))
-    still = moved <= step_end(b, s)
-    columns, (energy,) = (residual, still, covered, status == CONVERGED, steps), gathered(s, t.stepped_energy)
+    end = step_end(b, s)
+    agrees = torch.where(forces.total > 0, (forces.mean_gap - offset).abs(), 0.0) <= end
+    columns = residual, moved <= end, covered, status == CONVERGED, agrees, steps
+    (energy,) = gathered(s, t.stepped_energy)
     told = torch.stack([part.to(residual.dtype) for part in columns], 1)
     return told, lambda which: t.put(s, which, x=there, energy=energy, J=J, offset=offset)
 
@@ -287,25 +289,21 @@ def _measured(
     still: float,
     covered: float,
     converged: float,
+    agrees: float,
     steps: float,
 ) -> Outcome:  # fmt: skip
     """The outcome for one scene, and its next damping and tangent."""
-    damping, before, ended = course.inner_damping, course.residual, bool(converged) and course.part == 1
+    damping, before = course.inner_damping, course.residual
     course.residual, course.newton_damped = residual, course.newton_damped + (damping > 0)
-    small = bool(still) and residual <= options.residual_max / 2 and damping == 0
-    if ended and (residual <= options.residual_tol or small) and covered:
+    circling, whole = not converged and steps >= options.max_contact, course.part == 1
+    rests, fell = circling and bool(agrees), residual < before
+    if settles(options, residual, damping, bool(still), bool(converged) and whole, rests) and covered:
         course.found = True
         return Outcome.ended
     if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one
         course.rate = (2 if course.new else 1) * residual / before
-    slow = course.rate >= 1 or np.log(options.residual_tol / residual) < options.patience * np.log(course.rate)
-    course.new = not options.keep_tangent or course.part < 1 or bool(slow)
-    if not ended and steps >= options.max_contact:
-        course.damping = damping if residual < before else more(damping)
-    elif course.part < 1:
-        course.damping = damping
-    else:
-        course.damping = 0.0 if damping <= LEAST_DAMPING else damping / DAMPING_FACTOR
+    course.new = not options.keep_tangent or course.part < 1 or slow(options, residual, course.rate)
+    course.damping = next_damping(damping, course.part, circling, fell)
     if course.damping > 0 and not may_damp(known(course.history), course.legs[0], options):
         course.failure = NotConverged(Failure.folds)
         return Outcome.failure

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from tacgen.mechanics.bulk_newton import DAMPING_MAX
-from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
+from tacgen.mechanics.condensation import more
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import Quadratics
@@ -16,11 +16,6 @@ from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.reduction import Reduction, reduced
 
 Damping = tuple[list[float], ...]  # of each scene of a call; empty if no scene is damped
-
-
-def more(damping: float) -> float:
-    """The next larger damping."""
-    return max(DAMPING_FACTOR * damping, LEAST_DAMPING)
 
 
 def damping(b: Batch, rows: Sequence[int]) -> Damping:

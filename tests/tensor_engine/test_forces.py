@@ -125,7 +125,11 @@ def test_a_force_that_cannot_be_met_fails_as_in_the_cpu_engine(failure: Failure)
         why = error
     assert isinstance(solved.why, NotConverged)
     assert solved.why.failure is failure
-    assert str(solved.why) == str(why)
+    assert isinstance(why, NotConverged)
+    if failure is Failure.force:  # which of many trials with a single step each end is a matter of rounding
+        assert solved.why.data["most"] == pytest.approx(why.data["most"], abs=1e-4)
+    else:
+        assert str(solved.why) == str(why)
     assert len(solved.states) == len(one)
 
 
