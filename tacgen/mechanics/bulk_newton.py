@@ -183,12 +183,13 @@ def measure(problem: Problem, now: SolveState) -> Result:
     )  # fmt: skip
     newton = replace(
         newton, at=there, J=J, contact=newton.contact.shrunk(step.inner.contact.contact.offset), residual=residual,
-        damped=newton.damped + (damping > 0), linear=None, stepped=None,
+        damped=newton.damped + (damping > 0), path=(*newton.path, there.x) if damping > 0 else newton.path,
+        linear=None, stepped=None,
     )  # fmt: skip
     end, circling = steps_end(problem), step.inner.status is ContactStatus.circling
     still, converged, rests = moved <= end, step.inner.converged, circling and step.inner.off <= end
     if settles(options, residual, damping, still, converged, rests) and _covered(problem, now.history, newton):
-        found = Found.coupled(there.x, newton.contact, newton.steps, newton.damped)
+        found = Found.coupled(there.x, newton.contact, newton.steps, newton.damped, newton.path)
         return Outcome.ended, replace(now, newton=newton, found=found)
     rate = newton.rate
     if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one

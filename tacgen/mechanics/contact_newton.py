@@ -173,7 +173,7 @@ def contact_step(
         return replace(now, status=ContactStatus.converged)
     if fraction * length < SHORTEST * xtol:
         return replace(now, status=ContactStatus.converged if length <= xtol else ContactStatus.stopped)
-    if earlier is not None and np.abs(there - earlier.x).max() <= BACK * xtol < length:
+    if earlier is not None and _far(now, earlier) <= BACK * xtol < length:
         lower = min(now, start, key=lambda one: float(np.linalg.norm(one.g)))
         return replace(lower, steps=now.steps, length=length, status=ContactStatus.circling)
     return replace(now, before=start)
@@ -197,6 +197,11 @@ def _evaluated(bulk: BulkModel[P], contact: CoupledContact, x: Array) -> tuple[P
     """The bulk, the contact's forces and the residual at x (n, 3)."""
     there, felt = bulk.at(x), contact.evaluate(x)
     return there, felt, _residual(contact, there, felt)
+
+
+def _far(a: ContactIterate[P], b: ContactIterate[P]) -> float:
+    """By how much two iterates differ [mm]: in a node's position or in the indenter's offset."""
+    return max(float(np.abs(a.x - b.x).max()), abs(a.contact.contact.offset - b.contact.contact.offset))
 
 
 def _full(

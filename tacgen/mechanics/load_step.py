@@ -23,7 +23,7 @@ from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import Found, SolveState, known
 from tacgen.mechanics.state import History
-from tacgen.mechanics.tunnelling import blocked, depth_inside
+from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside
 
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
@@ -114,8 +114,8 @@ class LoadStep:
         """The failure where the gel is far inside the indenter or has passed through it: from the middle of a thin wall
         points may be pushed out on the far side."""
         contact, problem, history = solution.contact.contact.distance, self.problem, self.history
-        reach = contact.shape.reach
-        if blocked(contact, history.pose, history.x, history.gap, solution.x):
+        reach, path = contact.shape.reach, (*solution.path, solution.x)
+        if blocked_along(contact, history.pose, history.x, history.gap, path):
             return NotConverged(Failure.snaps if solution.damped else Failure.too_far)
         if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
             return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)

@@ -82,6 +82,7 @@ class BulkIterate:
     damping: float = 0.0  # over the stiffness at rest [-]
     steps: int = 0
     damped: int = 0  # of the steps, those that needed damping
+    path: tuple[Array, ...] = ()  # x (n, 3) after each of those
     linear: Linearised | None = None
     stepped: Stepped | None = None
 
@@ -89,7 +90,7 @@ class BulkIterate:
 @dataclass(frozen=True)
 class Found:
     """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
-    steps and how many of them needed damping."""
+    steps, how many of them needed damping and the positions after each of those."""
 
     x: Array
     contact: "CoupledContact | LaggedContact"
@@ -97,11 +98,14 @@ class Found:
     least_gap: float
     steps: int
     damped: int = 0
+    path: tuple[Array, ...] = ()
 
     @classmethod
-    def coupled(cls, x: Array, contact: CoupledContact, steps: int, damped: int = 0) -> "Found":
+    def coupled(
+        cls, x: Array, contact: CoupledContact, steps: int, damped: int = 0, path: tuple[Array, ...] = ()
+    ) -> "Found":
         forces = contact.evaluate(x)
-        return cls(x, contact, forces, float(forces.gap.min()), steps, damped)
+        return cls(x, contact, forces, float(forces.gap.min()), steps, damped, path)
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,16 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
     return False
 
 
+def blocked_along(contact: Contact, was: Pose, before: Array, gap: Array, path: Iterable[Array]) -> bool:
+    """Whether a point of the face passes through the indenter, from one of the positions (n, 3) of the path to the
+    next: where the gel snaps out of a fold, it goes round an edge that a straight step would cross."""
+    for x in path:
+        if blocked(contact, was, before, gap, x):
+            return True
+        was, before, gap = contact.pose, x, contact.gap(contact.faces.at(x))
+    return False
+
+
 def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
     """Largest penetration of the gel into the shrunk indenter [mm], at the integration points."""
     least = 0.0

@@ -8,6 +8,7 @@ from helpers.small import patch
 
 from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
+from tacgen.mechanics import contact_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.condensation import Schur
 from tacgen.mechanics.contact_newton import (
@@ -122,6 +123,23 @@ def test_it_says_that_it_ran_out_of_steps() -> None:
     found = solved(bulk(), CASES["box that slides"], max_steps=2)
     assert not found.converged
     assert found.steps == 2
+
+
+def test_it_ends_where_it_goes_to_and_fro_over_an_edge(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A punch with all but sharp edges on a soft bed: at the better of the two places, where more steps lead to."""
+    stiff = bulk()
+    to = replace(stiff, schur=Schur(0.1 * stiff.schur.S, lambda: np.eye(len(stiff.force))))
+    contact = against(CylinderSdf(0.7, 0.002), 0.1, friction=0.0)
+    found = solved(to, contact)
+    assert found.status is ContactStatus.circling
+    assert found.steps < 40
+    monkeypatch.setattr(contact_newton, "BACK", -1.0)
+    even, odd = (solved(to, contact, max_steps=steps) for steps in (40, 41))
+    assert (even.steps, odd.steps) == (40, 41)
+    size = [float(np.linalg.norm(one.g)) for one in (even, odd)]
+    assert max(size) > 2 * min(size)
+    assert np.linalg.norm(found.g) < max(size) / 2
+    assert found.x == pytest.approx((even, odd)[int(size[1] < size[0])].x, abs=XTOL)
 
 
 def test_nothing_that_it_was_given_is_changed() -> None:

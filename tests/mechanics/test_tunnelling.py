@@ -15,7 +15,7 @@ from tacgen.geometry.analytic_sdf import CapsuleSdf, CylinderSdf, Shape, SphereS
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.barrier import Contact, Faces
-from tacgen.mechanics.tunnelling import blocked, depth_inside, overlap
+from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside, overlap
 
 Array = np.ndarray
 POINTS, CELLS = block(8)
@@ -51,6 +51,18 @@ def goes(shape: Shape, start: Pose, end: Pose) -> bool:
 )
 def test_a_step_that_goes_too_far_is_reported(shape: Shape, start: Pose, end: Pose, expected: bool) -> None:
     assert goes(shape, start, end) is expected
+
+
+def test_a_gel_may_go_round_what_it_may_not_pass_through() -> None:
+    """The face moves from one side of a ball to the other, straight or below it."""
+    left, right, below = ([x, 0.0, z] for x, z in ((-3.0, 0.0), (3.0, 0.0), (0.0, -1.0)))
+    contact = Contact(Faces.on(PATTERN, POINTS, QUADS), SphereSdf(0.3), at(0, -0.3), 0.03, 0.3)
+    before = POINTS + left
+    gap = contact.gaps(before)[0]
+    straight, round_it = [POINTS + right], [before + below, POINTS + right + below, POINTS + right]
+    assert blocked_along(contact, contact.pose, before, gap, straight)
+    assert not blocked_along(contact, contact.pose, before, gap, round_it)
+    assert blocked_along(contact, contact.pose, before, gap, [before + below, before, *straight])
 
 
 def test_what_lies_inside_the_gel_is_found() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
 from tacgen.mechanics import NotConverged, Problem, State, mesh, states
 from tacgen.recipe import scene_of_row
@@ -76,11 +77,11 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
 @pytest.mark.parametrize(
     ("sets", "frames", "factored", "frame", "force"),
     [
-        (KEY, 7, 100, 6, -9.4),
+        (KEY, 7, 100, 6, -11.7),
         (BALL, 19, 500, 2, -4.38),
-        (LETTERS, 12, 250, 1, -72.8),
-        (TURNED_LETTERS, 16, 120, 4, -16.1),
-        (REPLAYED_KEY, 3, 250, 0, -4.49),
+        (LETTERS, 12, 250, 1, -79.6),
+        (TURNED_LETTERS, 16, 120, 4, -17.9),
+        (REPLAYED_KEY, 3, 250, 0, -4.88),
         (CYLINDER, 16, 150, 2, -2.78),
     ],
     ids=[
@@ -104,6 +105,19 @@ def test_it_ends_with_no_element_inverted(
     if "release" in sets[2]:
         # at the height of the start a flat face touches
         assert np.abs(found[-1].traction_force.sum((0, 1))).max() < 2e-4 * abs(force)
+
+
+@pytest.mark.slow
+def test_a_point_that_cannot_rest_on_an_edge_is_no_fold() -> None:
+    """In the second frame of the slide contact goes in circles, with a residual of 4e-4 of its force: 1 factorisation.
+    Halved and damped it took 30, and the force came within .5 %."""
+    draw = drawn(131069)
+    problem, found = solved((f"sensor={draw.sensor}", *draw.sets))
+    assert draw.shape == "gear"
+    assert (len(found), sum(state.damped for state in found)) == (6, 0)
+    assert problem.factored <= 20
+    assert max(state.residual for state in found) <= 0.5e-3
+    assert found[4].traction_force.sum((0, 1))[2] == pytest.approx(-13.2, rel=0.01)
 
 
 @pytest.mark.slow
