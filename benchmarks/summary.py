@@ -127,16 +127,20 @@ def _stability(tables: Tables) -> Told:
 
 
 def _sharp(tables: Tables) -> Told:
-    for quality in ("draft", "default"):
-        rows = [row for row in tables.get("Sharp edges and tips", ()) if row["quality"] == quality]
-        if errors := [abs(row["error"]) for row in rows if row["error"] is not None]:
-            told = Counter(row["within its factor"].partition(":")[0] for row in rows)
-            sizes = f"median {median(errors):.1%}, worst {max(errors):.1%}"
-            within = f"within a factor of 2 of the expected: {told['yes']} of {len(errors)}"
-            yield (
-                f"force error of {len(rows)} sharp meshes at `{quality}`",
-                f"{sizes}; {within}; {told['refused']} refused",
-            )
+    meshes = tables.get("Sharp edges and tips", ())
+    rows = {quality: [row for row in meshes if row["quality"] == quality] for quality in ("default", "draft")}
+    errors = {
+        quality: [abs(row["error"]) for row in some if row["error"] is not None] for quality, some in rows.items()
+    }
+    if not all(errors.values()):
+        return
+    middle, worst = ([f"{of(some):.1%}" for some in errors.values()] for of in (median, max))
+    told = [Counter(row["within its factor"].partition(":")[0] for row in some) for some in rows.values()]
+    yield (
+        f"force error of {len(rows['default'])} sharp meshes at `default` (`draft`)",
+        f"median {middle[0]} ({middle[1]}), worst {worst[0]} ({worst[1]}); within a factor of 2 of the expected:"
+        f" {told[0]['yes']} ({told[1]['yes']}); refused: {told[0]['refused']} ({told[1]['refused']})",
+    )
 
 
 def _pay(tables: Tables) -> Told:
