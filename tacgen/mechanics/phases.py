@@ -70,7 +70,7 @@ COUNTED = {  # phases whose kernel bounds how often it is passed, and by what
     P.contact: "SolverOptions.max_contact",
     P.damp: "DAMPING_MAX",
     P.admit: "STIFFENINGS, and the load steps that are left",
-    P.halve: "SolverOptions.halvings, FOLD_HALVINGS and TOO_FAR",
+    P.halve: "SolverOptions.halvings and fold_halvings, TOO_FAR",
 }
 
 
