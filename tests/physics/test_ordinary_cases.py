@@ -74,6 +74,7 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
 
 # Forces [N] are of the frame where the last press or slide ends; the ball's snaps as it is rubbed back.
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # seconds: a minute or two where nothing else runs
 @pytest.mark.parametrize(
     ("sets", "frames", "factored", "frame", "force"),
     [
