@@ -27,7 +27,7 @@ DISK_ERRORS = tuple(
     )
 )
 MAX_DIGITS = 7  # of a number of scenes, which are a million at most
-LEAST_MEMORY = 1_100_000_000  # address space of a small solve [bytes]; with much less, OpenBLAS ends the process
+LEAST_ADDRESS_SPACE = 1_100_000_000  # of a small solve [bytes]; with much less, OpenBLAS ends the process
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
@@ -196,7 +196,7 @@ def probe(folder: Path) -> None:
 def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
     """The plan of a recipe given by path or name, or a shard of it. Raises MemoryError: too little to solve any."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY and limit < LEAST_MEMORY:
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
         raise MemoryError
     from tacgen.recipe import assets, plan
 

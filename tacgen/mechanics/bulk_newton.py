@@ -164,8 +164,7 @@ def search(problem: Problem, now: SolveState) -> Result:
     assert last is not None
     there, gain, part = last
     if part < 1:
-        x, circling = there.x[condensed.nodes], inner.status is ContactStatus.circling
-        status = ContactStatus.circling if circling else ContactStatus.stopped
+        x, status = there.x[condensed.nodes], ContactStatus.stopped if inner.converged else inner.status
         inner = replace(inner, x=x, forces=contact.evaluate(x), status=status)
     return Outcome.ready, replace(now, newton=replace(newton, stepped=Stepped(there, part, gain, inner)))
 
@@ -183,13 +182,12 @@ def measure(problem: Problem, now: SolveState) -> Result:
     )  # fmt: skip
     newton = replace(
         newton, at=there, J=J, contact=newton.contact.shrunk(step.inner.contact.contact.offset), residual=residual,
-        damped=newton.damped + (damping > 0), path=(*newton.path, there.x) if damping > 0 else newton.path,
-        linear=None, stepped=None,
+        path=(*newton.path, there.x) if damping > 0 else newton.path, linear=None, stepped=None,
     )  # fmt: skip
     end, circling = steps_end(problem), step.inner.status is ContactStatus.circling
     still, converged, rests = moved <= end, step.inner.converged, circling and step.inner.off <= end
     if settles(options, residual, damping, still, converged, rests) and _covered(problem, now.history, newton):
-        found = Found.coupled(there.x, newton.contact, newton.steps, newton.damped, newton.path)
+        found = Found.coupled(there.x, newton.contact, newton.steps, newton.path)
         return Outcome.ended, replace(now, newton=newton, found=found)
     rate = newton.rate
     if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one

@@ -22,7 +22,7 @@ Array = np.ndarray
 ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
 FULL_STEP = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
 SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
-BACK = 0.1  # of the tolerance: distance from where it was two steps before at which an iteration goes in circles [-]
+SAME_PLACE = 0.1  # distance of two iterates, over the tolerance, up to which they are one place [-]
 MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
@@ -173,7 +173,7 @@ def contact_step(
         return replace(now, status=ContactStatus.converged)
     if fraction * length < SHORTEST * xtol:
         return replace(now, status=ContactStatus.converged if length <= xtol else ContactStatus.stopped)
-    if earlier is not None and _far(now, earlier) <= BACK * xtol < length:
+    if earlier is not None and _far(now, earlier) <= SAME_PLACE * xtol < length:
         lower = min(now, start, key=lambda one: float(np.linalg.norm(one.g)))
         return replace(lower, steps=now.steps, length=length, status=ContactStatus.circling)
     return replace(now, before=start)

@@ -81,8 +81,7 @@ class BulkIterate:
     rate: float = RATE_GUESS
     damping: float = 0.0  # over the stiffness at rest [-]
     steps: int = 0
-    damped: int = 0  # of the steps, those that needed damping
-    path: tuple[Array, ...] = ()  # x (n, 3) after each of those
+    path: tuple[Array, ...] = ()  # x (n, 3) after each step that needed damping
     linear: Linearised | None = None
     stepped: Stepped | None = None
 
@@ -90,22 +89,24 @@ class BulkIterate:
 @dataclass(frozen=True)
 class Found:
     """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
-    steps, how many of them needed damping and the positions after each of those."""
+    steps, and the positions (n, 3) after each of those that needed damping."""
 
     x: Array
     contact: "CoupledContact | LaggedContact"
     forces: ContactForces
     least_gap: float
     steps: int
-    damped: int = 0
     path: tuple[Array, ...] = ()
 
     @classmethod
-    def coupled(
-        cls, x: Array, contact: CoupledContact, steps: int, damped: int = 0, path: tuple[Array, ...] = ()
-    ) -> "Found":
+    def coupled(cls, x: Array, contact: CoupledContact, steps: int, path: tuple[Array, ...] = ()) -> "Found":
         forces = contact.evaluate(x)
-        return cls(x, contact, forces, float(forces.gap.min()), steps, damped, path)
+        return cls(x, contact, forces, float(forces.gap.min()), steps, path)
+
+    @property
+    def damped(self) -> int:
+        """Number of Newton steps that needed damping."""
+        return len(self.path)
 
 
 @dataclass(frozen=True)

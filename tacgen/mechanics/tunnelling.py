@@ -46,10 +46,12 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
 def blocked_along(contact: Contact, was: Pose, before: Array, gap: Array, path: Iterable[Array]) -> bool:
     """Whether a point of the face passes through the indenter, from one of the positions (n, 3) of the path to the
     next: where the gel snaps out of a fold, it goes round an edge that a straight step would cross."""
-    for x in path:
+    for k, x in enumerate(path):
+        if k > 0:
+            was, gap = contact.pose, contact.gap(contact.faces.at(before))
         if blocked(contact, was, before, gap, x):
             return True
-        was, before, gap = contact.pose, x, contact.gap(contact.faces.at(x))
+        before = x
     return False
 
 
