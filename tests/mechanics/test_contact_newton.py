@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.small import patch
 
-from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf
+from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf, WedgeSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import contact_newton
 from tacgen.mechanics.barrier import Contact
@@ -140,6 +140,13 @@ def test_it_ends_where_it_goes_to_and_fro_over_an_edge(monkeypatch: pytest.Monke
     assert max(size) > 2 * min(size)
     assert np.linalg.norm(found.g) < max(size) / 2
     assert found.x == pytest.approx((even, odd)[int(size[1] < size[0])].x, abs=XTOL)
+
+
+def test_it_goes_on_from_the_same_place_with_another_mean_gap() -> None:
+    """A sharp wedge pushes the sheet away in the first step, and in the second it is back, with the wedge shrunk."""
+    found = solved(bulk(), against(WedgeSdf(np.radians(45), 0.01, 1.0), 0.05, friction=0.0))
+    assert found.converged
+    assert found.steps > 2
 
 
 def test_nothing_that_it_was_given_is_changed() -> None:
