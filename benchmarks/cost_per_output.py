@@ -32,21 +32,20 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
     "force, two layers": ("force", (TWO_LAYERS,)),
     "force, dynamics": ("force", ("dynamics={density_kg_m3: 1000, frame_s: 0.05}",)),
     "force, tetrahedra": ("force", ("mesh=tet",)),
-    "force, ipctk": ("force", ("contact.formulation=ipctk",)),
     "rgb by path": ("rgb", ("render={method: path}",)),
     "rgb by table": ("rgb", ("render={method: table}",)),
     "markers, analytic": ("markers", ("markers={method: analytic}",)),
     "everything": (", ".join(NAMES), ()),
 }
 # large packages, which a scene should load only if it needs them
-LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "ipctk", "pytetwild",
+LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "pytetwild",
          "PyfTetWildWrapper", "trimesh", "igl", "pymeshlab", "torch", "PIL", "distributed")  # fmt: skip
 WARM_UP = (  # a smaller scene that compiles and fills the caches
     "quality={edge_mm: 1.5, dhat_mm: 0.1, spp: 16}",
     "trajectory=[{press: {depth_mm: 0.4, frames: 1}}]",
 )
 AT_SMOKE = ("force", "stress")  # lines of ASKED that a smoke test measures
-AT_FULL = ("force, ipctk", "rgb by path")  # lines for level full alone: mechanics and optics measure them too
+AT_FULL = ("rgb by path",)  # a line for level full alone: optics measures it too
 
 
 def bench(level: Level, say: Say) -> Result:

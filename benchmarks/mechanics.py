@@ -1,8 +1,7 @@
-"""Error of the mechanics against run time, for each choice of mesh, element, contact and solver."""
+"""Error of the mechanics against run time, for each choice of mesh, element, tolerances and solver."""
 
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
-from importlib.util import find_spec
 
 import numpy as np
 
@@ -20,8 +19,11 @@ ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
 FILLETS = {"normal": (0.3, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; the element edge at `draft` is 0.6
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in element edges
-FORMULATIONS = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
 BOX = "indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
+EDGED = (
+    "A box of 3 mm at `draft`, pressed 0.5 mm without friction: error of the force against `reference`, and the largest"
+    " tangential over normal force while it slides, a discretisation error. Empty: a frame did not converge."
+)
 PRESSED, SLID = "{press: {depth_mm: 0.5, frames: 1}}", "{slide: {x_mm: 0.1, y_mm: 0.06, frames: 1}}"
 AT_DRAFT = ("quality=draft",)
 PRESETS = ("draft", "default")
@@ -64,8 +66,6 @@ def variants(level: Level) -> list[Variant]:
         found.append(Variant("tolerances, times", f"{part:g}", (), _tolerances(part)))
     solvers = SOLVERS | FULL_SOLVERS if level == "full" else SOLVERS
     found += [Variant("draft, solver", name, AT_DRAFT, options) for name, options in solvers.items()]
-    if find_spec("ipctk"):
-        found.append(Variant("draft, contact", "ipctk", (*AT_DRAFT, "contact.formulation=ipctk")))
     return found
 
 
@@ -84,7 +84,7 @@ def bench(level: Level, say: Say) -> Result:
     with cores() as every:  # runs that are not timed may share the machine
         true = [_preset(sensor, "reference") for sensor in DEPTHS]
         references = every(kept, [*true, *(_edged(fillet) for fillet in fillets)])
-        boxes = every(_dragged_answer, [_dragged(fillet, name) for fillet in fillets for name in FORMULATIONS])
+        boxes = every(_dragged_answer, map(_dragged, fillets))
         placed = [_preset("gelsight_mini", name) for name in PRESETS for _ in SHIFTS]
         shifted = every(answer, placed, SHIFTS * len(PRESETS))
         list(references)
@@ -153,9 +153,9 @@ def _edged(fillet: float, moves: str = PRESSED, quality: str = "reference") -> t
     return (*scene, f"quality={quality}")
 
 
-def _dragged(fillet: float, formulation: str) -> tuple[str, ...]:
-    """The same box pressed and slid."""
-    return (*_edged(fillet, f"{PRESSED}, {SLID}", "draft"), f"contact.formulation={formulation}")
+def _dragged(fillet: float) -> tuple[str, ...]:
+    """A box as in `_edged`, pressed and slid at `draft`."""
+    return _edged(fillet, f"{PRESSED}, {SLID}", "draft")
 
 
 def _dragged_answer(sets: tuple[str, ...]) -> Answer | None:
@@ -167,26 +167,18 @@ def _dragged_answer(sets: tuple[str, ...]) -> Answer | None:
 
 
 def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer | None], say: Say) -> Table:
-    """A box with decreasing radius of its edges: both formulations of contact where the mesh does not resolve it."""
+    """A box with decreasing radius of its edges, down to where the mesh does not resolve it."""
     rows: list[list[Cell]] = []
     for fillet in fillets:
-        true, found = kept(_edged(fillet)), [next(boxes) for _ in FORMULATIONS]
-        off = [None if one is None else float(one.force[0, 2] / true.force[0, 2] - 1) for one in found]
-        slid = [None if one is None else one.force[1:] for one in found]
-        drag = [None if f is None else float((np.hypot(*f[:, :2].T) / -f[:, 2]).max()) for f in slid]
-        edge = row_of(_dragged(fillet, FORMULATIONS[0])).recipe.resolved().edge_mm
-        rows.append([fillet / edge, *off, *[None] * (2 - len(off)), *drag, *[None] * (2 - len(drag))])
-        say(f"fillet {fillet:g} mm: {', '.join('rejected' if part is None else f'{part:+.1%}' for part in off)}")
-    heads = columns(
-        "radius / edge: .2f", "force, distance: +.1%", "force, ipctk: +.1%",
-        "drag, distance: .2%", "drag, ipctk: .2%",
-    )  # fmt: skip
-    note = (
-        "A box of 3 mm at `draft`, pressed 0.5 mm without friction: error of the force against `reference`, and the"
-        " largest tangential over normal force while it slides, a discretisation error. The formulations have different"
-        " contact points; both have the error of a mesh that cannot follow the edge. Empty: a frame did not converge."
-    )
-    return Table("Edges sharper than the mesh", heads, rows, note)
+        edge, found = row_of(_dragged(fillet)).recipe.resolved().edge_mm, next(boxes)
+        if found is None:
+            rows.append([fillet / edge, None, None])
+            say(f"fillet {fillet:g} mm: rejected")
+            continue
+        off, slid = float(found.force[0, 2] / kept(_edged(fillet)).force[0, 2] - 1), found.force[1:]
+        rows.append([fillet / edge, off, float((np.hypot(*slid[:, :2].T) / -slid[:, 2]).max())])
+        say(f"fillet {fillet:g} mm: {off:+.1%}")
+    return Table("Edges sharper than the mesh", columns("radius / edge: .2f", "force: +.1%", "drag: .2%"), rows, EDGED)
 
 
 def _sensors(presets: dict[tuple[str, str], Answer], say: Say) -> Table:

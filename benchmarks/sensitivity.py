@@ -77,7 +77,7 @@ def condition(problem: mechanics.Problem, state: mechanics.State) -> float:
     import scipy.sparse as sp
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    contact = problem.contact.distance.moved(Pose.of(state.pose), state.offset)
+    contact = problem.contact.moved(Pose.of(state.pose), state.offset)
     data, pat = np.zeros(len(problem.pattern.indices)), problem.pattern
     Total((*problem.elastic, *problem.folding)).add_hessian(state.x, data, Projection.NONE)
     D = CoupledContact(contact, 0.0, contact.faces.at(state.x), 1.0).evaluate(state.x).tangent

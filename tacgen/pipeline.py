@@ -87,8 +87,6 @@ def _attributes(
         cost = cost_note(built, len(problem.mesh.facets["coated"])) if problem.condensed else ""
     if row.finger is not None:
         found["finger"] = row.finger
-    formulation = row.recipe.contact.formulation
-    found["contact"] = f"ipctk {version('ipctk')}" if formulation == "ipctk" else formulation
     if row.recipe.outputs & IMAGES:
         with clock.stage("render"):
             found["renderer"] = shared.pictures.name
@@ -251,8 +249,7 @@ class Recorder:
         self.before: mechanics.State | None = None
         with clock.stage("fields"):
             self.shared = _shared(row, self.scene, problem, solution.states if solution else (), device)
-            known = row.recipe.contact.formulation == "distance" and self.scene.element != "linear_tet"
-            self.face = FaceGrid.of(self.scene.gel) if known else None
+            self.face = None if self.scene.element == "linear_tet" else FaceGrid.of(self.scene.gel)
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
         images = {k: made.pop(k) for k in NAMES if k in IMAGES & made.keys()}
         with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first

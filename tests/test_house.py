@@ -83,7 +83,6 @@ HOMES = {
     "igl": {"geometry.exact_edges", "geometry.mesh_file", "geometry.mesh_import"},
     "pymeshlab": {"geometry.mesh_file"},
     "pytetwild": {"mechanics.ftetwild"},
-    "ipctk": {"mechanics.ipctk"},
     "platformdirs": {"array_cache"},
     "threadpoolctl": {"pipeline", "render.pictures", "mechanics.blas_kernels"},
     "rich": {"report.progress"},
@@ -327,7 +326,6 @@ HEAVY = {
     "pymetis",
     "trimesh",
     "igl",
-    "ipctk",
 }
 
 
@@ -339,10 +337,6 @@ def test_help_imports_no_numerics():
 def test_reading_recipes_imports_no_numerics(args: tuple[str, ...]):
     # one scene needs a seed, which NumPy draws; nothing heavier
     assert loaded_by(command(*args)).isdisjoint(HEAVY - {"numpy"})
-
-
-def test_a_scene_without_mesh_contact_does_not_import_ipctk():
-    assert "ipctk" not in loaded_by("import tacgen.pipeline, tacgen.mechanics.ipctk")
 
 
 def test_the_check_sees_a_bad_import(tmp_path: Path):

@@ -258,8 +258,6 @@ def scene_of(row: Row) -> Scene | str:
         return "a grasp"
     if row.recipe.uncertainty is not None:  # its derivatives need the histories of load steps
         return "derivatives of labels"
-    if row.recipe.contact.formulation != "distance":
-        return f"contact by {row.recipe.contact.formulation}"
     try:
         return scene_of_row.build(row)
     except UserError:

@@ -21,7 +21,7 @@ from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parent
 MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
 MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
 LIGHT_CONTACT = 0.01  # smallest pressure scale of a frame, over the scene's peak pressure [-]
-COULOMB_EXCESS = 2e-3  # over friction x peak pressure [-]: with ipctk, friction follows a lagged normal force
+COULOMB_EXCESS = 1e-3  # over friction x peak pressure [-]: four times the rounding of both maps to 13 bits
 FLOAT32_ERROR = 1e-6  # rounding error of maps, over the frame's peak [-]
 VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
 VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]

@@ -37,7 +37,7 @@ ATTRS: dict[str, tuple[type, str]] = {
 OPTIONAL: dict[str, tuple[type, str]] = {
     "sensor_document": (str, "resolved sensor, JSON"),
     "mesh": (str, "quality of the mesh and its sha256, JSON: two tetrahedral meshes are never alike"),
-    "contact": (str, "formulation of contact: `distance`, or `ipctk` and its version"),
+    "contact": (str, "formulation of contact; no longer written, since there is one"),
     "renderer": (str, "what rendered images: `transport` (and on which GPU), `table`, or Mitsuba, version and variant"),
     "pair": (int, "number of the contact, the same in each scene of a data set that has it on another sensor"),
     "values": (str, "the varied paths of a batch and their values, JSON"),

@@ -141,9 +141,6 @@ class Elastic:
     def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         self.add_tangent(self.evaluate(x), data, projection)
 
-    def max_step(self, x: Array, p: Array) -> float:
-        return 1.0
-
     def energies(self, x: Array) -> Array:
         """Strain energy (e,) [N mm] of each element."""
         F = assembly.deformation(x, self.elements.conn, self.elements.gradients)

@@ -112,6 +112,3 @@ class FoldingBarrier:
 
     def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         self.evaluate(x).add_tangent(data, projection)
-
-    def max_step(self, x: Array, p: Array) -> float:
-        return 1.0

@@ -91,6 +91,3 @@ class Inertia:
         data[p.indptr[:-1]] += (self.inertial + self.drag)[p.free // 3, 0]  # the diagonal leads each row
         if self.viscous is not None:
             data += self.viscous
-
-    def max_step(self, x: Array, p: Array) -> float:
-        return 1.0

@@ -30,9 +30,6 @@ class Potential(Protocol):
     def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         """Add d2E/dx2 to `data`, the entries of the Pattern [N/mm]."""
 
-    def max_step(self, x: Array, p: Array) -> float:
-        """Largest a in (0, 1] such that the step from x to x + a p passes through nothing."""
-
 
 @dataclass(frozen=True)
 class Total:
@@ -52,6 +49,3 @@ class Total:
     def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         for part in self.parts:
             part.add_hessian(x, data, projection)
-
-    def max_step(self, x: Array, p: Array) -> float:
-        return min(part.max_step(x, p) for part in self.parts)

@@ -51,23 +51,6 @@ class Shape(Protocol):
         """Support function: extent along a unit vector (3,) [mm]; inf where the shape is infinite."""
 
 
-@dataclass(frozen=True, eq=False)
-class Triangles:
-    """A rigid surface in its own frame: vertices (v, 3) [mm], triangles (t, 3), and the displacement (v, 3) of each
-    vertex when all triangles move outward by 1."""
-
-    vertices: Array
-    triangles: Array
-    outward: Array
-
-    @property
-    def areas(self) -> Array:
-        """Area of each vertex: a third of the triangles around it (v,) [mm^2]."""
-        a, b, c = np.moveaxis(self.vertices[self.triangles], 1, 0)
-        third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-        return np.bincount(self.triangles.ravel(), np.repeat(third, 3), len(self.vertices))
-
-
 class Core(NamedTuple):
     """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and direction out of it (n, 3);
     functions give what the distance alone does not need.

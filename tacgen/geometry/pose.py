@@ -72,8 +72,3 @@ class Pose:
     def world(self, X: Array) -> Array:
         """Points (..., 3) of the indenter's frame in the sensor's."""
         return np.asarray(X @ self.rotation.T + self.position)
-
-    def toward(self, other: "Pose", part: float) -> "Pose":
-        """The pose at a part of the way to another one: linear in position, constant rate of rotation."""
-        turned = about(shortest_turn(self.rotation, other.rotation), part)
-        return Pose(turned @ self.rotation, (1 - part) * self.position + part * other.position)

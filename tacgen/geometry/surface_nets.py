@@ -1,22 +1,29 @@
-"""The surface of an indenter as triangles, for contact between meshes.
+"""The surface of an analytic shape as triangles, to be drawn.
 
-An analytic shape is meshed by surface nets (Gibson 1998) on a grid just fine enough for its topology. Vertices are
-projected onto the surface, and edges whose midpoints are off it are split: few triangles on flat faces, many on
-fillets. A mesh keeps its own triangles and gets more vertices along its sharp edges.
+Meshed by surface nets (Gibson 1998) on a grid just fine enough for its topology. Vertices are projected onto the
+surface, and edges whose midpoints are off it are split: few triangles on flat faces, many on fillets.
 
 Marching cubes (libigl, scikit-image) were tried on eight shapes: on six of them they give 30 to 209 triangles with an
 angle below 2 degrees, surface nets none.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from tacgen.geometry.analytic_sdf import Shape, Triangles
+from tacgen.geometry.analytic_sdf import Shape
 
 Array = np.ndarray
 MAX_CELLS = 2_000_000  # of the coarse grid
-SHARP_ANGLE = np.radians(4)  # angle of triangles at a sharp edge, along which vertices are added [rad]
-MAX_MITER = 3.0  # largest offset of a vertex over that of its faces; needle-like corners would have more [-]
 MAX_ROUNDS = 60  # most rounds of edge splitting
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """A surface in its own frame: vertices (v, 3) [mm], triangles (t, 3)."""
+
+    vertices: Array
+    triangles: Array
 
 
 def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> Triangles:
@@ -41,24 +48,7 @@ def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> T
         if not off.any():
             break
         vertices, triangles = _split(vertices, triangles, edges, sides, off)
-    return Triangles(vertices, triangles, shape.gradient(vertices)[1])
-
-
-def of_mesh(vertices: Array, triangles: Array, *, height: float, spacing: float) -> Triangles:
-    """The triangles of a closed mesh that reach below `height` [mm], with vertices at most `spacing` apart along sharp
-    edges."""
-    triangles = triangles[vertices[triangles][:, :, 2].min(1) < height]
-    for _ in range(MAX_ROUNDS):
-        edges, sides = _edges(triangles)
-        length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
-        coarse = _sharp(vertices, triangles, edges, sides) & (length > spacing)
-        coarse &= vertices[edges][:, :, 2].min(1) < height
-        if not coarse.any():
-            break
-        vertices, triangles = _split(vertices, triangles, edges, sides, coarse)
-    used, renamed = np.unique(triangles, return_inverse=True)
-    vertices, triangles = vertices[used], renamed.reshape(-1, 3)
-    return Triangles(vertices, triangles, _miters(vertices, triangles))
+    return Triangles(vertices, triangles)
 
 
 def _surface_nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[Array, Array]:
@@ -133,33 +123,3 @@ def _split(vertices: Array, triangles: Array, edges: Array, sides: Array, which:
         (cut & ~cut_bc, (ab, b, c)), (cut & cut_bc, (ab, b, bc)), (cut & cut_bc, (ab, bc, c)),
     ]  # fmt: skip
     return vertices, np.concatenate([np.stack(corners, 1)[here] for here, corners in pieces])
-
-
-def _normals(vertices: Array, triangles: Array) -> Array:
-    """Unit normals (t, 3); zero for triangles without area."""
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    n = np.cross(b - a, c - a)
-    return np.asarray(n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300))
-
-
-def _sharp(vertices: Array, triangles: Array, edges: Array, sides: Array) -> Array:
-    """Whether an edge (e,) bends outward by more than SHARP_ANGLE."""
-    n, middle = _normals(vertices, triangles), vertices[triangles].mean(1)
-    both, away, count = np.zeros((len(edges), 3)), np.zeros((len(edges), 3)), np.bincount(sides.ravel())
-    np.add.at(both, sides, np.repeat(n[:, None], 3, 1))
-    np.add.at(away, sides, vertices[edges[sides]].mean(2) - middle[:, None])
-    bent = np.linalg.norm(both, axis=1) < 2 * np.cos(SHARP_ANGLE / 2)  # the sum of two unit normals
-    return np.asarray(bent & ((away * both).sum(1) > 0) & (count == 2))
-
-
-def _miters(vertices: Array, triangles: Array) -> Array:
-    """Displacement m of each vertex when its faces move outward by 1: m . n = 1 for all of them, by least squares."""
-    n = _normals(vertices, triangles)
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    corners = ((b - a, c - a), (c - b, a - b), (a - c, b - c))
-    angle = np.stack([np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(1)) for u, v in corners], 1)
-    A, rhs = np.zeros((len(vertices), 3, 3)), np.zeros((len(vertices), 3))
-    np.add.at(A, triangles, angle[..., None, None] * (n[:, :, None] * n[:, None, :])[:, None])
-    np.add.at(rhs, triangles, angle[..., None] * n[:, None])
-    m = np.einsum("vij,vj->vi", np.linalg.pinv(A, rcond=1e-2, hermitian=True), rhs)
-    return np.asarray(m * np.minimum(1.0, MAX_MITER / np.maximum(np.linalg.norm(m, axis=1, keepdims=True), 1e-300)))

@@ -9,7 +9,7 @@ It knows no recipe. A Scene (gel, indenter, poses, friction, tolerances) is mesh
 
 docs/MECHANICS.md has the algorithm by module. `solver` drives it: kernels of load_step, bulk_newton (on the gel, with
 contact_newton on its Schur complement), admission and load_stepping, in the order of phases.TRANSITIONS. Without
-CHOLMOD full_newton solves on all unknowns; contact between meshes is solved by mesh_contact with newton (on an energy).
+CHOLMOD full_newton solves on all unknowns.
 The names are imported when they are first used: a recipe's path needs no solver.
 """
 

@@ -16,7 +16,6 @@ from tacgen.mechanics.state import History, State, joined
 
 if TYPE_CHECKING:
     from tacgen.mechanics.load_step import LoadStep
-    from tacgen.mechanics.mesh_contact import MeshLoadStep
 
 Array = np.ndarray
 STIFFENINGS = 8  # most solves, with stiffer barriers each time, until nothing penetrates or inverts
@@ -33,9 +32,8 @@ def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     least_J = least_jacobian(problem.mesh.points, solution.x, problem.mesh.cells)
     now = replace(now, solves=now.solves + 1, steps=now.steps + solution.steps, damped=now.damped + solution.damped)
     touching, inverted = not solution.least_gap > 0, not least_J > 0
-    stiffer = step.stiffened(solution, touching, inverted) if touching or inverted else None
-    if stiffer is not None and now.solves < STIFFENINGS:
-        return Outcome.stiffer, replace(now, step=stiffer)
+    if (touching or inverted) and now.solves < STIFFENINGS:
+        return Outcome.stiffer, replace(now, step=step.stiffened(solution, touching, inverted))
     residual, balance = imbalance(step, solution)
     if residual > most or balance > most or solution.least_gap <= 0:
         figures = {"residual": residual, "balance": balance, "least_gap": solution.least_gap}
@@ -50,12 +48,12 @@ def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     return Outcome.more if now.legs else Outcome.ended, now
 
 
-def imbalance(step: "LoadStep | MeshLoadStep", solution: Found) -> tuple[float, float]:
+def imbalance(step: "LoadStep", solution: Found) -> tuple[float, float]:
     """Residual on the free dofs and |indenter + inertia + base|, both over the contact force [-]."""
     x, free = solution.x, step.problem.pattern.free
     outer = solution.contact.contact.faces.scatter(-solution.forces.force, len(x))
-    inertia = step.inert.gradient(x)
-    inner = Total((*step.elastic, *step.folding)).gradient(x)
+    inertia = Total(step.bulk.other).gradient(x)
+    inner = Total((*step.bulk.elastic, *step.bulk.folding)).gradient(x)
     held = np.ones(x.size, bool)
     held[free] = False
     reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
@@ -65,7 +63,7 @@ def imbalance(step: "LoadStep | MeshLoadStep", solution: Found) -> tuple[float, 
 
 
 def _record(
-    step: "LoadStep | MeshLoadStep", solution: Found, now: SolveState, quality: tuple[float, float, float]
+    step: "LoadStep", solution: Found, now: SolveState, quality: tuple[float, float, float]
 ) -> tuple[History, State]:
     coupled, contact, forces, history = solution.contact, solution.contact.contact, solution.forces, step.history
     friction = sliding = None
@@ -88,7 +86,6 @@ def _record(
         contact.kappa,
         max(history.least_force, NEGLIGIBLE * float(forces.N.sum())),
         None if history.velocity is None else (solution.x - history.x) / step.duration,
-        history.x,
         internal,
         folds_on(history, now.damped),
         None if step.prediction is None else step.prediction.error(solution.x),

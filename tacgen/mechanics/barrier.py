@@ -5,7 +5,6 @@ Li et al. (2020), "Incremental Potential Contact", clamped barrier; scaled to a 
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -84,35 +83,6 @@ class Faces:
         assembly.add_point_blocks(D, self.N, self.slots[which], data)
 
 
-class AnyContact(Protocol):
-    """Contact of the coated face with the indenter at `pose`, shrunk by `offset` [mm]: Contact, or ipctk.MeshContact.
-
-    overlaps: whether the solve may start with the gel inside the indenter; distance: contact by signed distance with
-    the same faces, pose and offset. For the methods see Contact.
-    """
-
-    overlaps: ClassVar[bool]
-
-    @property
-    def faces(self) -> Faces: ...
-    @property
-    def shape(self) -> Shape: ...
-    @property
-    def pose(self) -> Pose: ...
-    @property
-    def dhat(self) -> float: ...
-    @property
-    def kappa(self) -> float: ...
-    @property
-    def offset(self) -> float: ...
-    @property
-    def distance(self) -> "Contact": ...
-    def moved(self, pose: Pose, offset: float) -> "AnyContact": ...
-    def clear(self, pose: Pose, x: Array) -> Pose: ...
-    def pressure(self, x: Array) -> tuple[Array, Array, Array]: ...
-    def mean_gap(self, x: Array) -> float: ...
-
-
 @dataclass(frozen=True)
 class Contact:
     """The barrier between the coated face and an indenter shrunk by `offset`.
@@ -127,18 +97,9 @@ class Contact:
     dhat: float  # [mm]
     kappa: float  # [MPa]
     offset: float = 0.0  # [mm]
-    overlaps: ClassVar[bool] = True
-
-    @property
-    def distance(self) -> "Contact":
-        return self
 
     def moved(self, pose: Pose, offset: float) -> "Contact":
         return replace(self, pose=pose, offset=offset)
-
-    def clear(self, pose: Pose, x: Array) -> Pose:
-        """A pose from which the indenter may start: `pose` itself, since gaps may be negative."""
-        return pose
 
     def gaps(self, x: Array) -> tuple[Array, Array, Array]:
         """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""

@@ -153,8 +153,8 @@ class Expected:
 
     @classmethod
     def of(cls, scene: "Scene") -> "Expected | None":
-        """None where it is not known: without contact, between meshes, and for linear tetrahedra."""
-        if scene.surface is not None or scene.element == "linear_tet":
+        """None where it is not known: without contact, and for linear tetrahedra."""
+        if scene.element == "linear_tet":
             return None
         contact, pose = max(scene.overlaps, key=lambda each: each[0].area)
         if not contact.perimeter:

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.fem.elasticity import Elastic
-from tacgen.fem.folding_barrier import FoldingBarrier
-from tacgen.fem.potential import Potential, Total
+from tacgen.fem.potential import Potential
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import full_newton
 from tacgen.mechanics.barrier import Contact
@@ -53,21 +51,9 @@ class LoadStep:
             assert history.velocity is not None
             inertia = problem.body.step(history.x, history.velocity, duration)
             inert, ahead = [inertia], inertia.coasting
-        contact = replace(problem.contact.distance.moved(pose, history.offset), kappa=history.kappa)
+        contact = replace(problem.contact.moved(pose, history.offset), kappa=history.kappa)
         bulk = Bulk(problem.during(history, duration), problem.folding, tuple(inert))
         return cls(problem, history, duration, contact, bulk, ahead)
-
-    @property
-    def inert(self) -> Total:
-        return Total(self.bulk.other)
-
-    @property
-    def elastic(self) -> tuple[Elastic, ...]:
-        return self.bulk.elastic
-
-    @property
-    def folding(self) -> tuple[FoldingBarrier, ...]:
-        return self.bulk.folding
 
     def predicted(self, pose: Pose) -> "LoadStep":
         """With the prediction by the problem's tangent."""
@@ -102,9 +88,8 @@ class LoadStep:
             return no_equilibrium(self.bulk.at(solution.x).J, solution.steps)
         return Found.coupled(solution.x, solution.contact, solution.steps)
 
-    def stiffened(self, solution: Found, contact: bool, folding: bool) -> "LoadStep | None":
-        """With stiffer barriers of the contact or against folding after a solution; None where that cannot help."""
-        assert isinstance(solution.contact, CoupledContact)
+    def stiffened(self, solution: Found, contact: bool, folding: bool) -> "LoadStep":
+        """With stiffer barriers of the contact or against folding after a solution."""
         bulk = self.bulk
         if folding:
             bulk = replace(bulk, folding=tuple(b.stiffened(STIFFER) for b in bulk.folding))
@@ -113,7 +98,7 @@ class LoadStep:
     def wrong(self, solution: Found) -> NotConverged | None:
         """The failure where the gel is far inside the indenter or has passed through it: from the middle of a thin wall
         points may be pushed out on the far side."""
-        contact, problem, history = solution.contact.contact.distance, self.problem, self.history
+        contact, problem, history = solution.contact.contact, self.problem, self.history
         reach, path = contact.shape.reach, (*solution.path, solution.x)
         if blocked_along(contact, history.pose, history.x, history.gap, path):
             return NotConverged(Failure.snaps if solution.damped else Failure.too_far)
@@ -127,10 +112,6 @@ def begin(problem: Problem, now: SolveState) -> Result:
     leg = now.legs[0]
     pose, effort = Pose.of(leg.b), 0 if leg.budget else now.effort
     now = replace(now, effort=effort, failure=None)
-    if not problem.contact.overlaps:
-        from tacgen.mechanics.mesh_contact import MeshLoadStep
-
-        return Outcome.not_condensed, replace(now, step=MeshLoadStep(problem, now.history, pose, leg.duration))
     step = LoadStep.of(problem, now.history, pose, leg.duration)
     now = replace(now, step=step)
     if not problem.condensed:
@@ -150,7 +131,7 @@ def begin(problem: Problem, now: SolveState) -> Result:
 def renew(problem: Problem, now: SolveState) -> Result:
     """The tangent at the last equilibrium, which also serves the first step: at a first guess the tangent is often
     indefinite, because of the guess's pressures."""
-    assert isinstance(now.step, LoadStep)
+    assert now.step is not None
     try:
         problem.tangent.take(now.step.bulk.at(now.history.x), None)
     except NotPositiveDefinite:
@@ -160,7 +141,7 @@ def renew(problem: Problem, now: SolveState) -> Result:
 
 def foresee(problem: Problem, now: SolveState) -> Result:
     """The prediction, if the options ask for it."""
-    assert isinstance(now.step, LoadStep)
+    assert now.step is not None
     if not problem.options.predict:
         return Outcome.ready, now
     return Outcome.ready, replace(now, step=now.step.predicted(Pose.of(now.legs[0].b)))
@@ -173,12 +154,11 @@ def start(problem: Problem, now: SolveState) -> Result:
     x = now.found.x if now.found else step.start(None if now.near is None else now.near.x)
     if x is None:
         return Outcome.failure, now.failed(Failure.too_far)
-    if isinstance(step, LoadStep) and step.coupled is None:
+    if step.coupled is None:
         step = step.anchored()
     now = replace(now, step=step, begins=x)
     if not problem.condensed:
         return Outcome.not_condensed, now
-    assert isinstance(step, LoadStep)
     return Outcome.ready, replace(now, newton=begun(problem, step.bulk, now.history, known(step.coupled), x))
 
 

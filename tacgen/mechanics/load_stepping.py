@@ -69,9 +69,7 @@ def may_damp(history: History, leg: Leg, options: SolverOptions) -> bool:
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
     """Number of load steps from pose a to pose b, within the options `sink`, `slide` and `slide_sharp`."""
-    deep = 0.0
-    if problem.contact.overlaps:
-        deep = -float(problem.contact.distance.moved(Pose.of(b), history.offset).least(history.x))
+    deep = -problem.contact.moved(Pose.of(b), history.offset).least(history.x)
     pressing = math.ceil(deep / (problem.options.sink * problem.edge) - 1e-9)
     return max(1, pressing, _steps_to_slide(problem, history, a, b, turn))
 

@@ -11,7 +11,6 @@ class SolverOptions:
     step_tol: float = 1e-2  # of dhat: the last Newton step moves no node by more
     residual_tol: float = 2e-4  # of the contact force: where Newton stops
     residual_max: float = 1e-3  # of the contact force: largest residual and force imbalance of a frame
-    lag_tol: float = 2e-4  # of the contact force, only with lagged friction (ipctk)
     force_tol: float = 3e-3  # of a prescribed force, at the end of a movement
     # Newton's method
     max_newton: int = 60  # steps of the bulk in a load step; ordinary frames take 3 to 6

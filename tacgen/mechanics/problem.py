@@ -14,7 +14,7 @@ from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.viscoelasticity import Viscoelastic
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import linear_solvers
-from tacgen.mechanics.barrier import AnyContact, Contact, Faces
+from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.options import DEFAULT, SolverOptions, tighter
@@ -45,7 +45,7 @@ class Problem:
     mesh: GelMesh
     elastic: tuple[Elastic, ...]
     folding: tuple[FoldingBarrier, ...]
-    contact: AnyContact
+    contact: Contact
     pattern: Pattern
     friction: float
     edge: float  # [mm]
@@ -88,7 +88,7 @@ class Problem:
             Elastic(elements(mesh.points, some[layer == number]), each.law)
             for number, each in enumerate(scene.gel.layers)
         )
-        return cls(mesh, elastic, (), by_distance(scene, mesh, None), NO_MATRIX, scene.friction, scene.edge)
+        return cls(mesh, elastic, (), _contact(scene, mesh, None), NO_MATRIX, scene.friction, scene.edge)
 
     @cached_property
     def linear(self) -> linear_solvers.Solver:
@@ -107,8 +107,8 @@ class Problem:
 
     @property
     def condensed(self) -> bool:
-        """Whether contact is solved on the Schur complement: between meshes it is not."""
-        return self.options.condense and self.contact.overlaps and linear_solvers.readable()
+        """Whether contact is solved on the Schur complement."""
+        return self.options.condense and linear_solvers.readable()
 
     @property
     def factored(self) -> int:
@@ -122,16 +122,14 @@ class Problem:
 
     def rest(self, pose: Pose) -> History:
         """The untouched gel below an indenter at `pose`."""
-        x = self.mesh.points
-        pose = self.contact.clear(pose, x)
-        offset = USUAL_GAP * self.contact.dhat if self.contact.overlaps else 0.0
+        x, offset = self.mesh.points, USUAL_GAP * self.contact.dhat
         force, normal, gap = self.contact.moved(pose, offset).pressure(x)
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)
         least = FORCE_FLOOR * kappa * self.contact.dhat**2
         internal = {number: layer.rest() for number, layer in self.viscous.items()}
         none, normal = np.zeros_like(force), normal @ pose.rotation
-        return History(pose, x, offset, none, normal, at, gap, kappa, least, still, x, internal)
+        return History(pose, x, offset, none, normal, at, gap, kappa, least, still, internal)
 
     def during(self, history: History, h: float) -> tuple[Elastic, ...]:
         """The layers' potentials in a load step of h [s]."""
@@ -152,19 +150,8 @@ class Problem:
         return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
 
 
-def _contact(scene: Scene, mesh: GelMesh, pat: Pattern) -> AnyContact:
-    """The contact, by distance or between meshes."""
-    if scene.surface is None:
-        return by_distance(scene, mesh, pat)
-    from tacgen.mechanics.ipctk import MeshContact, Pair
-
-    pair = Pair.of(pat, mesh.points, mesh.facets["coated"], scene.surface)
-    one = Contact(pair.faces, scene.shape, Pose.of(scene.start), scene.dhat, _kappa(scene))
-    return MeshContact(pair, one, one.pose, scene.dhat, one.kappa)
-
-
-def by_distance(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:
-    """Contact by signed distance; without a pattern, tangents of the contact cannot be added to a sparse matrix."""
+def _contact(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:
+    """The contact at the start; without a pattern, its tangents cannot be added to a sparse matrix."""
     faces = Faces.on(pat, mesh.points, mesh.facets["coated"], points_along(scene))
     return Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, _kappa(scene))
 

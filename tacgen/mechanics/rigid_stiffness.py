@@ -18,7 +18,7 @@ Array = np.ndarray
 
 def _forces(problem: Problem, before: History, at: History, substeps: int) -> ContactForces:
     """Contact forces with the anchors set back by the drag of one load step, so that sliding points keep sliding."""
-    contact = replace(problem.contact.distance.moved(at.pose, at.offset), kappa=at.kappa)
+    contact = replace(problem.contact.moved(at.pose, at.offset), kappa=at.kappa)
     dragged = np.where(before.normal_force[..., None] > 0, at.anchor - before.anchor, 0.0)
     anchor, slip = at.pose.world(at.anchor - dragged / substeps), problem.options.slip * contact.dhat
     return CoupledContact(contact, problem.friction, anchor, slip).evaluate(at.x)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from tacgen.geometry.analytic_sdf import Shape, Triangles
+    from tacgen.geometry.analytic_sdf import Shape
     from tacgen.geometry.gel import GelBody
     from tacgen.mechanics.expected_error import Overlap
     from tacgen.mechanics.failures import NotConverged
@@ -79,7 +79,6 @@ class Scene:
     dynamics: GelDynamics | None = None
     duration: Array | None = None  # (N,) of each frame [s]; None: quasi-static
     element: Element = "hex"
-    surface: "Triangles | None" = None  # of the indenter, for contact between meshes
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
 
     @cached_property

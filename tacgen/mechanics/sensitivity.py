@@ -63,7 +63,7 @@ class Sensitivity:
     """Derivatives at the frames of one scene, in order."""
 
     def __init__(self, problem: Problem, parameters: Sequence[Parameter]) -> None:
-        self._problem, self._contact, self._parameters = problem, problem.contact.distance, tuple(parameters)
+        self._problem, self._contact, self._parameters = problem, problem.contact, tuple(parameters)
         self._lower = -np.array([p.depth for p in parameters])[:, None] * np.eye(3)[2]  # of the pose (k, 3)
         problem.tangent.followed = True
         self._tangent = problem.new_tangent()

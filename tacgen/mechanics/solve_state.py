@@ -14,7 +14,6 @@ from tacgen.mechanics.state import History, State
 
 if TYPE_CHECKING:
     from tacgen.mechanics.load_step import LoadStep
-    from tacgen.mechanics.mesh_contact import LaggedContact, MeshLoadStep
 
 Array = np.ndarray
 T = TypeVar("T")
@@ -92,7 +91,7 @@ class Found:
     steps, and the positions (n, 3) after each of those that needed damping."""
 
     x: Array
-    contact: "CoupledContact | LaggedContact"
+    contact: CoupledContact
     forces: ContactForces
     least_gap: float
     steps: int
@@ -128,7 +127,7 @@ class SolveState:
     effort: int = 0
     phase: Phase = Phase.begin
     state: State | None = None
-    step: "LoadStep | MeshLoadStep | None" = None
+    step: "LoadStep | None" = None
     begins: Array | None = None
     newton: BulkIterate | None = None
     found: Found | None = None

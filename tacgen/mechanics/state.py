@@ -23,7 +23,6 @@ class History:
     kappa: float  # barrier stiffness [MPa]
     least_force: float  # smallest force scale of the tolerances [N]
     velocity: Array | None  # (n, 3) [mm/s], with inertia
-    before: Array  # x one load step earlier, from which lagged friction extrapolates
     internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
     folded: bool = False  # a step was damped since the gel was last untouched
     predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)

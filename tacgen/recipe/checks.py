@@ -1,6 +1,5 @@
 """Checks that need the recipe and the sensor together: what this sensor cannot do."""
 
-import importlib.util
 import math
 from contextlib import suppress
 from pathlib import Path
@@ -33,21 +32,16 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
         text = f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets: leave mesh out"
         wrong.append(Issue(("mesh",), text))
-    elsewhere = recipe.grasp is not None or recipe.contact.formulation == "ipctk"
-    if recipe.uncertainty is not None and (elsewhere or timed(recipe, sensor)):
-        text = (
-            "needs quasi-static frames and contact by distance: leave it out, or grasp, dynamics, viscosity and ipctk"
-        )
+    if recipe.uncertainty is not None and (recipe.grasp is not None or timed(recipe, sensor)):
+        text = "needs quasi-static frames without a grasp: leave it out, or grasp, dynamics and viscosity"
         wrong.append(Issue(("uncertainty",), text))
     most = sensor.gel.thickness_mm
     if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > most:
         text = f"must be at most the gel's thickness, {most:g} mm (got {depth:g})"
         wrong.append(Issue(("uncertainty", "pose", "depth_mm"), text))
-    wrong += [*_too_large(recipe.indenter, sensor.gel), *_ipc_toolkit(recipe)]
-    wrong += _too_coarse(recipe, sensor.gel)
+    wrong += [*_too_large(recipe.indenter, sensor.gel), *_too_coarse(recipe, sensor.gel)]
     edge = recipe.resolved().edge_mm
-    if recipe.contact.formulation == "distance":
-        wrong += _too_thin(recipe.indenter, edge)
+    wrong += _too_thin(recipe.indenter, edge)
     wrong += _mesh_file(recipe.indenter, edge, folders.get(("indenter", "file")))
     wrong += grasp_checks.problems(recipe, sensor, folders)
     wrong += [] if recipe.grasp else trajectory_checks.problems(recipe, sensor.gel, folders)
@@ -181,13 +175,6 @@ def _too_thin(indenter: Indenter, edge: float) -> list[Issue]:
         for key, value in half.items()
         if value < MIN_HALF_THICKNESS * edge * (1 - 1e-9)
     ]
-
-
-def _ipc_toolkit(recipe: Recipe) -> list[Issue]:
-    if recipe.contact.formulation != "ipctk" or importlib.util.find_spec("ipctk"):
-        return []
-    text = "needs the IPC Toolkit, which is not installed: pip install 'tacgen[ipc]'"
-    return [Issue(("contact", "formulation"), text)]
 
 
 def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Issue]:

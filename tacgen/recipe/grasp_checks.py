@@ -43,8 +43,6 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
     for key, usual in (("start", Start()), ("dynamics", None)):
         if getattr(recipe, key) != usual:
             wrong.append(Issue((key,), "has no effect in a grasp: leave it out", at_key=True))
-    if recipe.contact.formulation != "distance":
-        wrong.append(Issue(("contact", "formulation"), "must be distance in a grasp"))
     if importlib.util.find_spec("cvxopt") is None:
         wrong.append(Issue(("grasp",), "needs CVXOPT, which is not installed: pip install cvxopt", at_key=True))
     return [*wrong, *_tables(recipe, folders), *solid(sensor), *_object(recipe, grasp, sensor)]

@@ -18,13 +18,9 @@ Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock in a nearly in
 
 
 class ContactSettings(Part):
-    """How indenter and gel touch.
-
-    `distance` uses the signed distance to the indenter's shape; `ipctk` is mesh-to-mesh contact by the IPC Toolkit.
-    """
+    """How indenter and gel touch."""
 
     friction: NotNegative = 0.0
-    formulation: Literal["distance", "ipctk"] = "distance"
 
 
 class Grasp(Part):

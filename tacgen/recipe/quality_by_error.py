@@ -21,10 +21,8 @@ def chosen(scene: Scene, error: float) -> QualityNumbers | None:
     """
     expected = Expected.of(scene)
     if expected is None:
-        if scene.element == "linear_tet" or scene.surface is not None:
-            raise UserError(
-                "quality.force_error: is not known for linear tetrahedra and the formulation ipctk: give edge_mm"
-            )
+        if scene.element == "linear_tet":
+            raise UserError("quality.force_error: is not known for linear tetrahedra: give edge_mm")
         return None
     edge = expected.edge_with(error, min(COARSEST, MAX_EDGE * scene.gel.thickness), STEP)
     if edge < FINEST:

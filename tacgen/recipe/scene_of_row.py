@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_file, mesh_import, surface_nets
-from tacgen.geometry.analytic_sdf import Shape, Triangles
+from tacgen.geometry import mesh_file, mesh_import
+from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
 from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.recipe import indenters, quality_by_error, trajectory
@@ -27,7 +27,7 @@ SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]
 OPENED = 0.75  # radius of a mesh's sharp edges over dhat [-]: the mean gap of a light press, which contact takes off
 
 
-def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh | None = None) -> tuple[float, float]:
+def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh) -> tuple[float, float]:
     """Region of the indenter that the gel can reach: distance from its z axis, height above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
@@ -38,13 +38,9 @@ def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh | None = None) -> tuple[f
     diagonal = float(np.hypot(gel.width_mm, gel.height_mm))
     aside = max((float(np.hypot(*(pose[:3, :2].T @ pose[:3, 3]))) for pose in poses), default=0.0)  # pad's centre
     half = max(diagonal + 1.0, aside + diagonal / 2 + rise)
-    if tilted or solid is None:
-        return half, np.inf if tilted else rise
+    if tilted:
+        return half, np.inf
     return half, rise + sunk_beside(row.recipe, solid, gel.pad, row.replayed)
-
-
-def _solid(i: indenters.Mesh, row: Row) -> mesh_file.SolidMesh:
-    return mesh_import.placed(mesh_file.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
 
 
 def shape_of(row: Row) -> Shape:
@@ -53,26 +49,12 @@ def shape_of(row: Row) -> Shape:
     if (shape := indenters.analytic(indenter)) is not None:
         return shape
     assert indenter.shape == "mesh"
-    solid = _solid(indenter, row)
+    read = mesh_file.read(row.mesh_path)
+    solid = mesh_import.placed(read, up=indenter.up, scale=indenter.scale, size=indenter.size_mm)
     (half, height), quality = _reach_of_gel(row, solid), row.recipe.resolved()
-    if row.recipe.contact.formulation == "distance":
-        mesh_import.refuse_thin_walls(solid, quality.dhat_mm, height)
+    mesh_import.refuse_thin_walls(solid, quality.dhat_mm, height)
     sizes = {"cell": SDF_CELL * quality.edge_mm, "radius": OPENED * quality.dhat_mm}
     return mesh_import.field(solid, **sizes, height=height, half=half)
-
-
-def _surface(row: Row, shape: Shape) -> Triangles | None:
-    """The indenter's triangles for mesh-to-mesh contact: a mesh's own, or those of an analytic shape with an error much
-    smaller than the barrier's gap."""
-    indenter, quality = row.recipe.indenter, row.recipe.resolved()
-    if row.recipe.contact.formulation != "ipctk":
-        return None
-    solid = _solid(indenter, row) if indenter.shape == "mesh" else None
-    half, height = _reach_of_gel(row, solid)
-    if solid is not None:
-        return surface_nets.of_mesh(solid.vertices, solid.triangles, height=height, spacing=quality.edge_mm / 4)
-    height = min(height, 2 * half)  # a tilted shape without end
-    return surface_nets.of_shape(shape, half=half, height=height, tolerance=quality.dhat_mm / 10)
 
 
 def gel_of(sensor: Sensor, solid_path: Path | None = None) -> GelBody:
@@ -117,7 +99,7 @@ def _scene(row: Row) -> Scene:
     forced = path.forced
     if forced is not None and row.pair is not None:
         forced = replace(forced, tol=MATCHED)
-    more = (forced, _dynamics(recipe), _durations(row, path), element, _surface(row, shape), path.turns)
+    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns)
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 

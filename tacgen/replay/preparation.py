@@ -131,7 +131,7 @@ def _uncertainty(row: Row, notes: list[str]) -> dict[str, Any]:
     recipe = row.recipe
     if recipe.uncertainty is not None:
         return {}
-    if recipe.dynamics or recipe.contact.formulation == "ipctk" or row.sensor.gel.viscous:
-        notes.append("no error bar: uncertainty is not possible with dynamics, viscoelasticity or ipctk")
+    if recipe.dynamics or row.sensor.gel.viscous:
+        notes.append("no error bar: uncertainty is not possible with dynamics or viscoelasticity")
         return {}
     return {"uncertainty": {"mesh": True}}

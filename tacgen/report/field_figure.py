@@ -14,7 +14,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import, surface_nets
-from tacgen.geometry.analytic_sdf import Triangles
+from tacgen.geometry.surface_nets import Triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import Indenter, analytic
@@ -205,7 +205,7 @@ def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
     except UserError:
         return None
     solid = mesh_import.placed(solid, up=indenter.up, scale=indenter.scale, size=indenter.size_mm)
-    return surface_nets.of_mesh(solid.vertices, solid.triangles, height=np.inf, spacing=np.inf)
+    return Triangles(solid.vertices, solid.triangles)
 
 
 XY = "x to the right, y down in the image, z out of the gel toward the object"

@@ -30,7 +30,7 @@ from tacgen.report.layers import datasets_of, has_arrows, limits, map_of
 from tacgen.report.plane_cut import boundary
 
 if TYPE_CHECKING:
-    from tacgen.geometry.analytic_sdf import Triangles
+    from tacgen.geometry.surface_nets import Triangles
 
 Array = np.ndarray
 NEEDS = {

@@ -127,7 +127,7 @@ def _recorded(b: Batch, row: int, arrays: list[Array], mean: float, figures: lis
     offset, kappa, least_force = (float(part) for part in arrays[8:])
     leg, (least_gap, least_J, residual, balance, *_) = course.legs[0], figures
     after = History(
-        Pose.of(leg.b), x, offset, N, normal, anchor, gap, kappa, least_force, None, before.x, {},
+        Pose.of(leg.b), x, offset, N, normal, anchor, gap, kappa, least_force, None, {},
         folds_on(before, course.damped),
     )  # fmt: skip
     rubbed = problem.friction > 0

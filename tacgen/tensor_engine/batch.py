@@ -164,7 +164,7 @@ class Batch:
         def number(values: object) -> Tensor:
             return torch.as_tensor(np.array(values), dtype=FLOAT, device=device)
 
-        contacts = [p.contact.distance for p in problems]
+        contacts = [p.contact for p in problems]
         q = contacts[0].faces.areas.shape[1]
         exists, areas = np.zeros((B, e), bool), np.zeros((B, f, q))
         table, moduli = np.zeros((B, e, 8)), np.ones((B, e))

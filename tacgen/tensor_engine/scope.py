@@ -23,7 +23,6 @@ def lacks(scene: Scene) -> str | None:
     """The first thing in a scene that the batch engine does not do, in words; None: it solves the scene."""
     wanted = {
         "a mesh of tets": scene.element != "hex",
-        "contact between meshes": scene.surface is not None,
         "inertia": scene.dynamics is not None,
         "a viscous gel": scene.duration is not None and any(layer.prony for layer in scene.gel.layers),
         "this material law": any(numbers(layer.law) is None for layer in scene.gel.layers),

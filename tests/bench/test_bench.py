@@ -304,7 +304,7 @@ UNASKED = {  # modules and packages that only this brings
 }
 EVER = set().union(
     *UNASKED.values(),
-    {"tacgen.mechanics.ipctk", "ipctk", "tacgen.fem.inertia", "PyfTetWildWrapper", "PIL", "matplotlib"},
+    {"tacgen.fem.inertia", "PyfTetWildWrapper", "PIL", "matplotlib"},
 )
 SMALL = ["trajectory=[{press: {depth_mm: 0.5, frames: 1}}]", "quality={edge_mm: 1.2, dhat_mm: 0.08}"]
 
@@ -343,7 +343,7 @@ def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
         "geometry.mesh_import",
         "mechanics.tet_mesh",
     )
-    unasked += tuple(f"mechanics.{n}" for n in ("force_control", "full_newton", "mesh_contact", "newton"))
+    unasked += tuple(f"mechanics.{n}" for n in ("force_control", "full_newton"))
     assert modules.isdisjoint(f"tacgen.{name}" for name in unasked)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.minimiser import minimise
 from helpers.small import block, dense, slope, tetrahedral, turn, whole
 
 from tacgen.fem.assembly import pattern
@@ -10,8 +11,6 @@ from tacgen.fem.elements import elements
 from tacgen.fem.materials import EXAMPLES, Law, NeoHooke, Stiffened
 from tacgen.fem.potential import Projection
 from tacgen.fem.viscoelasticity import Viscoelastic
-from tacgen.mechanics.linear_solvers import Cholmod
-from tacgen.mechanics.newton import minimise
 
 Array = np.ndarray
 PRONY = ((0.3, 0.1), (0.2, 2.0))
@@ -95,10 +94,9 @@ def test_a_block_held_squeezed_relaxes_as_in_closed_form(nodes: int) -> None:
     H, x, t, squeezed = viscous.rest(), points, 0.0, 0.8
     for h in (AT_ONCE, 0.01, 0.1, 0.5, 3.0):
         step = viscous.step(H, x, h)
-        found = minimise(step, points * [squeezed**-0.5, squeezed**-0.5, squeezed], pat, Cholmod(pat), xtol=1e-8)
-        assert found.status == "converged"
-        force = step.gradient(found.x)[points[:, 2] == 1, 2].sum()
-        H, x, t = viscous.after(H, x, found.x, h), found.x, t + h
+        found = minimise(step, points * [squeezed**-0.5, squeezed**-0.5, squeezed], pat, xtol=1e-8)
+        force = step.gradient(found)[points[:, 2] == 1, 2].sum()
+        H, x, t = viscous.after(H, x, found, h), found, t + h
         assert force == pytest.approx(0.05 * (squeezed - squeezed**-2) * (1 + BETA @ np.exp(-t / TAU)), rel=1e-3)
 
 

@@ -104,6 +104,3 @@ class Load:
 
     def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         pass
-
-    def max_step(self, x: Array, p: Array) -> float:
-        return 1.0

@@ -9,7 +9,6 @@ from helpers.small import patch
 
 from tacgen.mechanics import Problem, State
 from tacgen.mechanics.barrier import Faces
-from tacgen.mechanics.ipctk import lattice
 from tacgen.optics.camera import PinholeCamera, Stack
 from tacgen.outputs import contact_maps
 from tacgen.outputs.gel_surface import GelSurface
@@ -77,14 +76,11 @@ def test_the_pressure_map_converges() -> None:
     assert np.log2(errors[0] / errors[2]) / 2 == pytest.approx(0.95, abs=0.25), errors
 
 
-@KINDS
-@pytest.mark.parametrize("toolkit", [False, True])
-def test_all_of_the_force_is_in_the_map(kind: int, toolkit: bool) -> None:
-    """At other points of contact, too: those of the IPC Toolkit's faces."""
-    points, faces, _ = patch(10, 5.0, kind)
-    if toolkit:
-        N, part, _ = lattice(kind)
-        faces = replace(faces, N=N, areas=faces.areas.sum(1)[:, None] * part)
+@pytest.mark.parametrize(("kind", "along"), [(4, 2), (4, 3), (4, 4), (3, 2), (6, 2)])
+def test_all_of_the_force_is_in_the_map(kind: int, along: int) -> None:
+    """With any number of contact points along a side."""
+    points, faces, pat = patch(10, 5.0, kind)
+    faces = Faces.on(pat, points, faces.conn, along)
     found, state = pressed(points, faces)
     assert found.pressure.min() == 0
     assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum(), rel=1e-12)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers import small
+from helpers.minimiser import minimise
 from scipy.optimize import brentq
 
 from tacgen.fem.assembly import Pattern, pattern
@@ -10,8 +11,6 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import EXAMPLES, Law, NeoHooke
 from tacgen.fem.potential import Potential, Total
-from tacgen.mechanics.linear_solvers import Cholmod
-from tacgen.mechanics.newton import Solution, Status, minimise
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.6)
@@ -32,10 +31,8 @@ def inside(points: Array) -> Array:
     return np.repeat(free[:, None], 3, 1)
 
 
-def solve(potential: Potential, x: Array, pat: Pattern) -> Solution:
-    found = minimise(potential, x, pat, Cholmod(pat), xtol=1e-11)
-    assert found.status is Status.converged
-    return found
+def solve(potential: Potential, x: Array, pat: Pattern) -> Array:
+    return minimise(potential, x, pat, xtol=1e-11)
 
 
 @pytest.mark.parametrize("law", EXAMPLES.values(), ids=list(EXAMPLES))
@@ -48,8 +45,8 @@ def test_a_linear_displacement_gives_a_uniform_stress_on_any_mesh(law: Law, kind
     body = Elastic.on(pat, elements(points, cells), law)
     exact = points @ F.T
     found = solve(body, np.where(free, exact + 0.02 * np.sin(7 * points), exact), pat)
-    assert found.x == pytest.approx(exact, abs=1e-10)
-    sigma = body.cauchy(body.evaluate(found.x))[0].reshape(-1, 3, 3)
+    assert found == pytest.approx(exact, abs=1e-10)
+    sigma = body.cauchy(body.evaluate(found))[0].reshape(-1, 3, 3)
     assert np.abs(sigma[0]).max() > 0.01
     assert np.ptp(sigma, axis=0) == pytest.approx(np.zeros((3, 3)), abs=1e-10)
 
@@ -80,7 +77,7 @@ def displacement_error(n: int, nodes: int) -> float:
     np.add.at(force, cells, np.einsum("eq,eqiJ,eqaJ->eai", e.weights, P, e.gradients))
     exact = points + u(points)
     found = solve(Total((body, small.Load(force))), exact, pat)
-    off = np.einsum("qa,eai->eqi", e.shape, (found.x - points)[cells]) - u(at)
+    off = np.einsum("qa,eai->eqi", e.shape, (found - points)[cells]) - u(at)
     return float(np.sqrt((e.weights * (off**2).sum(-1)).sum()))
 
 
@@ -114,9 +111,9 @@ def test_uniaxial_tension_follows_the_closed_form(nu: float, kind: str) -> None:
 
     t = brentq(transverse, 0.5, 1.2, xtol=1e-15)
     expected = law.mu * (stretch * t**2) ** (-5 / 3) * (stretch**2 - t**2) * t**2
-    force = body.gradient(found.x)[points[:, 2] > 1 - 1e-9, 2].sum()
+    force = body.gradient(found)[points[:, 2] > 1 - 1e-9, 2].sum()
     assert force == pytest.approx(expected, rel=1e-8)
-    assert np.ptp(found.x[:, 0]) == pytest.approx(t, abs=1e-8)
+    assert np.ptp(found[:, 0]) == pytest.approx(t, abs=1e-8)
     if nu == 0.4999:  # as good as incompressible
         assert force == pytest.approx(law.mu * (stretch - stretch**-2), rel=1e-3)
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from helpers.needs import needs
 from helpers.presses import Run, gel, poses, run, scene
 
-from tacgen.geometry import mesh_file, mesh_import, surface_nets
+from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.analytic_sdf import Shape, SphereSdf
 from tacgen.recipe import scene_of_row
 
@@ -19,15 +18,11 @@ Array = np.ndarray
 PATH = [(0.0, 0.0, -0.3), (0.0, 0.0, -0.6), (0.3, 0.1, -0.6)]
 
 
-def pressed(by: float, shape: Shape, *, toolkit: bool = False) -> Run:
+def pressed(by: float, shape: Shape) -> Run:
     """The same press and slide with all lengths `by` times as long."""
     path = poses([(x * by, y * by, z * by) for x, y, z in PATH])
     made = scene(shape, path, pad=gel(24 * by, 16 * by, 3 * by), friction=0.5, edge=0.6 * by)
-    made = replace(made, dhat=0.05 * by)
-    if toolkit:
-        surface = surface_nets.of_shape(shape, half=8 * by, height=3 * by, tolerance=made.dhat / 10)
-        made = replace(made, surface=surface)
-    return run(made)
+    return run(replace(made, dhat=0.05 * by))
 
 
 def assert_alike(one: Run, other: Run, by: float, tol: float = 1e-9) -> None:
@@ -52,10 +47,3 @@ def test_a_mesh_indenter() -> None:
         return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by, radius=0.02 * by)
 
     assert_alike(pressed(1, ball(1)), pressed(by, ball(by)), by, 1e-6)
-
-
-@pytest.mark.slow
-def test_contact_between_meshes() -> None:
-    needs("ipctk")
-    by = 1 / 128
-    assert_alike(pressed(1, SphereSdf(2.5), toolkit=True), pressed(by, SphereSdf(2.5 * by), toolkit=True), by, 1e-6)

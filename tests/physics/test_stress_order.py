@@ -36,7 +36,7 @@ def errors(n: int, nodes: int) -> tuple[float, float, float]:
     at = np.einsum("qa,eai->eqi", e.shape, points[cells])
     force = np.zeros_like(points)
     np.add.at(force, cells, np.einsum("eq,eqiJ,eqaJ->eai", e.weights, exact(at)[0], e.gradients))
-    x = solve(Total((body, Load(force))), points + u(points), pat).x
+    x = solve(Total((body, Load(force))), points + u(points), pat)
     recovery = Recovery.on(points, cells, np.zeros(len(cells), int))
     wanted = exact(points)[1]
     found = recovery.outermost(recovery.matrix @ _means(body, x)[0], len(points))

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import presses
-from helpers.needs import needs
 from helpers.presses import Run, gel, poses
 from helpers.small_recipe import HEAD
 from scipy.interpolate import PchipInterpolator
@@ -18,7 +17,6 @@ from tacgen.bundle.check import check
 from tacgen.cli import app
 from tacgen.errors import UserError
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh
@@ -96,16 +94,6 @@ def test_halved_frames_converge_at_second_order() -> None:
 def test_the_oracle_agrees() -> None:
     fast, true = (pressed(DOWN, [0.1] * 4, None, 0.4, options) for options in (mechanics.DEFAULT, mechanics.plain()))
     assert fast.forces[:, 2] == pytest.approx(true.forces[:, 2], rel=5e-3)
-
-
-@pytest.mark.slow
-def test_meshes_in_contact_relax_alike() -> None:
-    needs("ipctk")
-    ball = surface_nets.of_shape(SphereSdf(2.5), half=8.0, height=3.0, tolerance=5e-3)
-    one, other = (pressed([-0.2, -0.4, -0.4], [0.01, 0.01, 0.5], surface=surface) for surface in (None, ball))
-    fall = [run.forces[2, 2] / run.forces[1, 2] for run in (one, other)]
-    assert fall[1] == pytest.approx(fall[0], rel=5e-3)
-    assert fall[0] < 0.9
 
 
 def test_a_slow_press_of_a_gel_with_mass_is_the_same() -> None:

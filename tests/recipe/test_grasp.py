@@ -52,7 +52,6 @@ def test_an_ordinary_scene_is_its_own_bundle(tmp_path: Path) -> None:
         (["trajectory=[close: {frames: 1}]"], "exactly one aim of width_mm, force_n"),
         (["trajectory=[close: {force_n: 1, frames: 1, duration_s: 1}]"], "duration_s: has no effect in a grasp"),
         (["start.x_mm=1"], "start: has no effect in a grasp"),
-        (["contact.formulation=ipctk"], "must be distance in a grasp"),
         (["indenter={shape: box, size_x_mm: 8, size_y_mm: 8}"], "grasp: must say at which height"),
         (["indenter={shape: cone, half_angle_deg: 30, tip_radius_mm: 1}"], "indenter: has no upright sides"),
         (["trajectory=[close: {width_mm: 2, frames: 1}]"], "width_mm: must be above 2: first touch is at 10 mm"),

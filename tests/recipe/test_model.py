@@ -269,7 +269,7 @@ def test_tags_are_the_keys_that_choose_a_kind_of_part():
     walk(Recipe, set())
     walk(Sensor, set())
     kinds = {name: defaults - {PydanticUndefined} for name, defaults in found.items()}
-    one_of_a_kind = {"formulation", "method", "units", "end", "up"}  # of one model only: they choose no other keys
+    one_of_a_kind = {"method", "units", "end", "up"}  # of one model only: they choose no other keys
     assert kinds.keys() - one_of_a_kind == TAGS.keys()
     assert {name: next(iter(kinds[name]), None) for name in TAGS} == TAGS
 

@@ -29,7 +29,7 @@ RECIPES = {
     "quality=draft|sensor.gel.layers[0].thickness_mm=1": "ask for quality: {edge_mm: 0.25} or finer",
     "indenter={shape: sphere, radius_mm: 1e9}": "A flat plate is {shape: box, size_x_mm: 37.9, size_y_mm: 31.1}",
     "indenter={shape: mesh, file: gear, size_mm: 1e9}": "is {shape: box, size_x_mm: 37.9, size_y_mm: 31.1}",
-    "uncertainty={mesh: true}|contact.formulation=ipctk": "leave it out, or grasp, dynamics, viscosity and ipctk",
+    "uncertainty={mesh: true}|dynamics={density_kg_m3: 1000, frame_s: 0.1}": "or grasp, dynamics and viscosity",
 }
 GRASPS = {
     "start.x_mm=1": "leave it out",

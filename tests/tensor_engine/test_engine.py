@@ -11,7 +11,7 @@ torch = needs("torch")
 from helpers.presses import gel, poses, scene, thin_plate
 
 from tacgen.fem.materials import EXAMPLES
-from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, SphereSdf, Triangles
+from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, SphereSdf
 from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import DEFAULT, SolverOptions, State, solver
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
@@ -169,12 +169,10 @@ def whole(made: Scene) -> list[State]:
 def test_what_the_engine_lacks_is_said() -> None:
     made = small(BALL, path((0, 0, -0.2)))
     viscous = GelBody(6.0, 6.0, layers=(GelLayer(2.0, EXAMPLES["yeoh"], 0.15, ((0.2, 0.1),)),))
-    triangles = Triangles(np.zeros((3, 3)), np.arange(3)[None], np.zeros((3, 3)))
     assert lacks(made) is None
     assert lacks(replace(made, duration=np.ones(1))) is None
     for changed, said in (
         (replace(made, element="tet"), "a mesh of tets"),
-        (replace(made, surface=triangles), "contact between meshes"),
         (replace(made, dynamics=GelDynamics(1e-9, 0.0, 0.0, 1e-3)), "inertia"),
         (replace(made, gel=viscous, duration=np.ones(1)), "a viscous gel"),
         (replace(made, shape=object()), "this indenter"),
