@@ -20,7 +20,7 @@ Results go to stdout, progress and errors to stderr. Every command takes `-h` an
 |---|---|
 | 0 | done |
 | 1 | `run`: scenes were rejected or failed; `status`: not every scene is done; `check`: findings, notes apart |
-| 1 | `doctor`: something needed does not work; `bench`: a bench failed |
+| 1 | `doctor`: something needed does not work |
 | 2 | an error in the recipe or in the arguments |
 | 130 | interrupted; finished scenes are kept, and the same command resumes |
 """
