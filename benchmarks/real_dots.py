@@ -4,10 +4,8 @@ An end-to-end check of material, contact and camera. What nobody wrote down is f
 alone, then also what the untouched picture and the hand add.
 """
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy import ndimage, optimize
@@ -27,15 +25,21 @@ from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 Moves = dict[str, dict[str, float]]
-FOLDER = "gelsight_mini_dotted"
 DEPTHS = np.r_[0.0, np.arange(0.25, 2.3, 0.25)]  # [mm]: untouched, and solved; between them motions are interpolated
 FRICTION = 1.0  # assumed: a ball sticks to silicone; with less, it slides before the dots follow it
 SIDEWAYS = 0.3  # [mm] by which the ball is slid; motions are taken as proportional to it
-DARK = 0.3  # a dot is darker than its surroundings by this share
-WIDTH, LEAST = 21, 25  # a square larger than a dot [px], and the smallest area of a dot [px]
+DARK, LEAST = 0.3, 25  # a dot is darker than its surroundings by this share, and has at least this area [px]
 FARTHEST = 12.0  # longest motion of a dot [px], less than half of their distance
 SHEET = 0.1  # distance of nodes of the face [mm]
 ROUNDS = 6  # of fitting depths and the stretch of the untouched picture in turn
+NOTE = (
+    "A third unit with 9 x 7 dots, pressed by hand with a ball of 5 mm diameter; dots are found in the photographs"
+    " as dark spots, in the untouched one too (the recorded untouched positions are those of the first press)."
+    " Moved: how far off a gel that does not move would be. Depth: the only thing fitted in the column after it."
+    " And a stretch: all presses show the untouched picture larger, by {:.1f} and {:.1f} px in 100 along x and y, at"
+    " dots far from any ball too, so one affine map for all of them is fitted. And sideways: the hand also moves the"
+    " ball along the face, two numbers a press. Friction {:g} is assumed."
+)
 
 
 @dataclass(frozen=True)
@@ -70,14 +74,12 @@ class Pressed:
 
 def table(sensor: LitSensor, level: Level, say: Say) -> Table | None:
     """Of each press, the dots' motion and how far computed ones are from it; None without photographs."""
-    folder = photographs.reference() / FOLDER
+    folder = photographs.reference() / photographs.DOTTED
     if not (folder / "presses.csv").is_file():
         return None
-    rest, presses = dots(read(folder / "background.png")), list(_presses(folder))
+    rest, presses = dots(read(folder / "background.png")), photographs.as_drawn(photographs.DOTTED, folder)
     every = [pressed(sensor, press, rest) for press in (presses[:1] if level == "smoke" else presses)]
-    none = np.zeros((3, 2))
-    stretch = stretched(every)
-    rows: list[list[Cell]] = []
+    none, stretch, rows = np.zeros((3, 2)), stretched(every), list[list[Cell]]()
     for one in every:
         (depth, alone), (_, common), (last, slid) = one.fitted(none), one.fitted(stretch), one.fitted(stretch, True)
         rows.append([one.name, len(one.rest), rms(one.real), depth, *(rms(off) for off in (alone, common, slid)), last])
@@ -86,16 +88,7 @@ def table(sensor: LitSensor, level: Level, say: Say) -> Table | None:
     rows.append(["rms of all", None, means[0], None, *means[1:], None])
     heads = columns("press", "dots: d", "moved, rms [px]: .2f", "depth [mm]: .2f", "off, rms [px]: .2f",
                     "and a stretch [px]: .2f", "and sideways [px]: .2f", "last depth [mm]: .2f")  # fmt: skip
-    note = (
-        "A third unit with 9 x 7 dots, pressed by hand with a ball of 5 mm diameter; dots are found in the photographs"
-        " as dark spots, in the untouched one too (the recorded untouched positions are those of the first press)."
-        " Moved: how far off a gel that does not move would be. Depth: the only thing fitted in the column after it."
-        f" And a stretch: all presses show the untouched picture larger, by {stretch[1, 0]:.1f} and {stretch[2, 1]:.1f}"
-        " px in 100 along x and y, at dots far from any ball too, so one affine map for all of them is fitted. And"
-        " sideways: the hand also moves the ball along the face, two numbers a press. Friction"
-        f" {FRICTION:g} is assumed."
-    )
-    return Table("Dots of a pressed Mini", heads, rows, note)
+    return Table("Dots of a pressed Mini", heads, rows, NOTE.format(stretch[1, 0], stretch[2, 1], FRICTION))
 
 
 def pressed(sensor: LitSensor, press: PhotographedPress, untouched: Array) -> Pressed:
@@ -106,35 +99,33 @@ def pressed(sensor: LitSensor, press: PhotographedPress, untouched: Array) -> Pr
     places = np.array([press_faces.place(sensor, (x, y), 0.0) for x, y in rest])
     points = MaterialPoints(places, Untouched.of(sensor.gel), camera)
 
-    def moved(face: Surface) -> Array:
-        return np.asarray(points.at(DrawnFace(sheet, face, camera))[0] - points.undisturbed)
+    def moved(depth: float, moves: list[Moves]) -> list[Array]:
+        """Motion of the dots (n, 2) in each frame, from where the camera sees the ball on a face pressed by `depth`."""
+        faces = _solved(sensor, press, depth, moves)
+        return [np.asarray(points.at(DrawnFace(sheet, face, camera))[0] - points.undisturbed) for face in faces]
 
-    solved = _solved(sensor, press, 0.0, [{"press": {"depth_mm": float(d), "frames": 1}} for d in DEPTHS[1:]])
-    one = Pressed(press.name, rest, real[seen], np.array([np.zeros(rest.shape), *map(moved, solved)]))
+    made = moved(0.0, [{"press": {"depth_mm": float(d), "frames": 1}} for d in DEPTHS[1:]])
+    one = Pressed(press.name, rest, real[seen], np.array([np.zeros(rest.shape), *made]))
     depth, slid = one.fitted(np.zeros((3, 2)))[0], []
     for way in ("x_mm", "y_mm"):
-        moves = [{"press": {"depth_mm": depth, "frames": 2}}, {"slide": {way: SIDEWAYS, "frames": 1}}]
-        before, after = (moved(face) for face in _solved(sensor, press, depth, moves)[-2:])
+        slide = {"slide": {way: SIDEWAYS, "frames": 1}}
+        before, after = moved(depth, [{"press": {"depth_mm": depth, "frames": 2}}, slide])[-2:]
         slid.append((after - before) / SIDEWAYS)
     return Pressed(one.name, one.rest, one.real, one.made, slid)
 
 
 def stretched(every: Sequence[Pressed]) -> Array:
     """The affine map (3, 2), see _affine, of the untouched picture that suits all presses best."""
-    stretch = np.zeros((3, 2))
+    stretch, at = np.zeros((3, 2)), np.concatenate([_affine(one.rest) for one in every])
     for _ in range(ROUNDS):
         off = [one.real - one.at(one.fitted(stretch)[0]) for one in every]
-        stretch = np.asarray(
-            np.linalg.lstsq(np.concatenate([_affine(one.rest) for one in every]), np.concatenate(off))[0]
-        )
+        stretch = np.asarray(np.linalg.lstsq(at, np.concatenate(off))[0])
     return stretch
 
 
 def dots(picture: Array) -> Array:
     """Centres (n, 2) [px] of the dark spots of a picture (h, w, 3)."""
-    grey = picture.astype(float).max(axis=2)
-    ground = ndimage.grey_closing(grey, (WIDTH, WIDTH))
-    weight = np.clip((ground - grey) / ground - DARK, 0, None)
+    weight = np.clip(photographs.darker(picture) - DARK, 0, None)
     label, count = ndimage.label(weight > 0)
     which = range(1, count + 1)
     center = np.array(ndimage.center_of_mass(weight, label, which)).reshape(-1, 2)[:, ::-1] + 0.5
@@ -150,7 +141,7 @@ def motion(before: Array, after: Array) -> Array:
 
 
 def rms(motions: Array) -> float:
-    """Of the lengths of motions (n, 2)."""
+    """Root of the mean square length of motions (n, 2)."""
     return float(np.sqrt((motions**2).sum(axis=1).mean()))
 
 
@@ -169,13 +160,3 @@ def _solved(sensor: LitSensor, press: PhotographedPress, depth: float, moves: li
     }  # fmt: skip
     (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
     return list(press_faces.faces(row))[1:]
-
-
-def _presses(folder: Path) -> list[PhotographedPress]:
-    rows = csv.DictReader((folder / "presses.csv").read_text().splitlines())
-    numbers = ("ball_diameter_mm", "centre_x_px", "centre_y_px", "contact_radius_px")
-    presses = []
-    for row in rows:
-        across, x, y, radius = (float(row[name]) for name in numbers)
-        presses.append(PhotographedPress(row["image"], read(folder / row["image"]), across / 2, (x, y), radius, None))
-    return presses
