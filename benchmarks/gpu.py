@@ -110,7 +110,7 @@ def rates(ends: Ends, seconds: float) -> str:
 
 
 class Board(list[float]):
-    """What all GPUs' boards draw together [W], second by second."""
+    """Power that all GPUs' boards draw together [W], second by second."""
 
     def __str__(self) -> str:
         return f"{sum(self) / 1e3:.1f} kJ of the GPU's board, at most {max(self):.0f} W" if self else "no GPU's board"
@@ -148,7 +148,7 @@ def watched() -> Iterator[Board]:
 
 
 class Solved(NamedTuple):
-    """What a process has solved: forces (frames, 3) [N] by draw, when scenes ended, why others did not, which were put
+    """Scenes that a process has solved: forces (frames, 3) [N] by draw, when scenes ended, why others did not, which were put
     off, and when it began and ended [s by the clock]."""
 
     forces: dict[int, Array]

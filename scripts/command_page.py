@@ -77,7 +77,7 @@ def row(parameter: click.Parameter, context: click.Context, text: str) -> str:
 
 
 def default(parameter: click.Parameter, flag: bool) -> str:
-    """What holds where nothing is given; empty where that is nothing."""
+    """The value where nothing is given; empty if there is none."""
     if parameter.required:
         return "required"
     value = parameter.default

@@ -212,7 +212,7 @@ def test_a_references_noise_is_not_taken_for_an_error() -> None:
 
 
 def test_parts_of_a_reference_say_more_than_halves() -> None:
-    """Of as many paths: by a root of two at most, and without bias."""
+    """With as many paths: by a root of two at most, and without bias."""
     from benchmarks.image_error import decibel
 
     camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(5)
