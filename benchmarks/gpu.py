@@ -148,8 +148,8 @@ def watched() -> Iterator[Board]:
 
 
 class Solved(NamedTuple):
-    """Scenes that a process has solved: forces (frames, 3) [N] by draw, when scenes ended, why others did not, which were put
-    off, and when it began and ended [s by the clock]."""
+    """Scenes that a process has solved: forces (frames, 3) [N] by draw, when scenes ended, why others did not, which
+    were put off, and when it began and ended [s by the clock]."""
 
     forces: dict[int, Array]
     ends: Ends

@@ -154,7 +154,7 @@ def _edged(fillet: float, moves: str = PRESSED, quality: str = "reference") -> t
 
 
 def _dragged(fillet: float, formulation: str) -> tuple[str, ...]:
-    """The same box pressed and slid."""
+    """Scene of a box with rounded edges that is pressed and slid."""
     return (*_edged(fillet, f"{PRESSED}, {SLID}", "draft"), f"contact.formulation={formulation}")
 
 
