@@ -65,8 +65,8 @@ torture: sync
 	PYTHONPATH=tests $(BIN)/python -W ignore -m benchmarks.torture -o docs $(TORTURE_FLAGS)
 
 bench: sync
-	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)
-	$(BIN)/python -m benchmarks.readme_figures
+	$(BIN)/python -m benchmarks -o docs $(BENCH_FLAGS)
+	$(BIN)/python -m benchmarks.summary
 
 docs: sync
 	@# not --quiet: with it --strict counts no warnings

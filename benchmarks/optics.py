@@ -1,15 +1,13 @@
-"""Error of pictures against seconds: every method and setting against traced paths, and where the coating goes."""
+"""Error of pictures against seconds: every method and setting against traced paths."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from typing import cast
 
-from benchmarks import flow, image_error
+from benchmarks import image_error
 from benchmarks.image_error import Truth
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen.recipe import assets, loading
 from tacgen.render import mitsuba_variants
-from tacgen.sensor.model import LitSensor
 
 ABOUT = (
     "Images of solved faces against Mitsuba's `path`: PSNR on developed images before rounding and without the camera's"
@@ -27,7 +25,6 @@ TRUTHS = {  # references
 }
 FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(image_error.FACES)}
 SHRINK = {"smoke": 8, "normal": 1, "full": 1}  # of the pictures
-FLOW_PATHS = {"normal": 36, "full": 256}
 
 
 def bench(level: Level, say: Say) -> Result:
@@ -56,7 +53,7 @@ def bench(level: Level, say: Say) -> Result:
         ways = dict.fromkeys((one.method, one.setting) for one in mine)
         series = [_curve(" ".join(way), [one for one in mine if (one.method, one.setting) == way]) for way in ways]
         plots.append(Plot(name, "s a frame", "PSNR against path [dB]", series, log="x"))
-    return Result(ABOUT, [table] if level == "smoke" else [table, _flow(names, FLOW_PATHS[level], variant, say)], plots)
+    return Result(ABOUT, [table], plots)
 
 
 def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Iterator[image_error.Outcome]:
@@ -82,20 +79,3 @@ def _curve(name: str, group: list[image_error.Outcome]) -> Series:
     mean = sum(one.seconds for one in group) / len(group)
     ends = [*[""] * (len(group) - 1), name] if len(group) > 1 else [name]
     return Series(name, [mean] * len(group), [one.decibel for one in group], ends)
-
-
-def _flow(sensors: Sequence[str], paths: int, variant: str, say: Say) -> Table:
-    """Markers and dense flow against traced pictures."""
-    rows: list[list[Cell]] = []
-    for name in sensors:
-        sensor, untouched, moved = flow.sheared(name)
-        error = flow.measure(cast(LitSensor, sensor), untouched, moved, variant, paths)
-        rows.append([name, *error])
-        say(f"{name}: markers {error.markers_rms:.3f} px off")
-    heads = columns(
-        "sensor", "moved [px]: .1f", "markers, rms [px]: .3f", "most: .3f", "flow, rms [px]: .3f", "at most: .3f"
-    )
-    note = (
-        f"A ball pressed and sheared by {flow.SHEAR:g} mm; errors against the coating's points found by {paths} paths."
-    )
-    return Table("Flow", heads, rows, note)

@@ -1,6 +1,5 @@
-"""The same press by other methods: CalculiX if it is installed, linear tetrahedra, closed forms, published figures."""
+"""One press by other methods: CalculiX if it is installed, linear tetrahedra, published figures."""
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +10,7 @@ from benchmarks import calculix
 from benchmarks.calculix import Pressed
 from benchmarks.reference_runs import BALL, answer, kept, row_of
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
-from tacgen import array_cache, mechanics
-from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import SphereSdf
-from tacgen.geometry.gel import GelBody, GelLayer
-from tacgen.mechanics import mesh
-from tacgen.mechanics.scene import Scene
+from tacgen import array_cache
 from tacgen.recipe import scene_of_row
 
 ABOUT = (
@@ -63,9 +57,7 @@ def bench(level: Level, say: Say) -> Result:
     """Every method on several meshes."""
     smoke = level == "smoke"
     with cores(level) as every:  # runs that are not timed may share the machine
-        fine = _finest(smoke, every)
-        layers = every(pressed, *zip(*LAYERS[level], strict=True), [2 if smoke else 5] * len(LAYERS[level]))
-        finest, anchors = dict(fine), _anchors(level, layers, say)
+        finest = dict(_finest(smoke, every))
     say(", ".join(f"{name}: {force:.4f} N" for name, force in finest.items()))
     reference = sum(finest.values()) / len(finest)
     answer((*PRESS, "quality={edge_mm: 1.5}"))  # compile
@@ -84,7 +76,7 @@ def bench(level: Level, say: Say) -> Result:
     rows += [[f"finest, {name}", "", None, None, force, force / reference - 1] for name, force in finest.items()]
     heads = columns("method", "edge [mm]", "nodes: d", "s: .2f", "force [N]: .4f", "error: +.2%")
     note = "Seconds from the mesh to the force; for CalculiX those of the whole program."
-    tables = [Table("One press", heads, rows, note), _equal(runs, ours, reference), anchors]
+    tables = [Table("One press", heads, rows, note), _equal(runs, ours, reference)]
     series = [Series(r.name, r.seconds, [abs(e) for e in r.errors(reference)], r.labels) for r in runs]
     plot = Plot("Force error of one press", "s", "|error| of the force [-]", series)
     return Result(ABOUT, tables if smoke else [*tables, _published()], [plot])
@@ -152,54 +144,6 @@ def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:
     return Table(
         "At equal error, and at equal time", heads, rows, "The coarsest mesh from which on all errors are within that."
     )
-
-
-E, R, DEPTH = 0.15, 200.0, 0.5  # of the closed forms [MPa, mm, mm]: a/R = .05
-LAYERS = {  # nu, and the contact's radius over the thickness
-    "smoke": ((0.4999, 0.2),),
-    "normal": ((0.3, 0.1), (0.4999, 0.2)),
-    "full": ((0.3, 0.1), (0.4999, 0.1), (0.4999, 0.2)),
-}
-
-
-def dimitriadis(nu: float, chi: float) -> float:
-    """Force of a ball on a bonded layer over that on a half space, chi = sqrt(R depth)/thickness: Dimitriadis, Horkay,
-    Maresca, Kachar & Chadwick (2002), Biophys. J. 82, 2798, Eqs. 12-13; to fourth order, for chi well below 1."""
-    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
-    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
-    c = chi / math.pi
-    third = alpha**3 + 4 * math.pi**2 / 15 * beta
-    fourth = alpha**3 + 3 * math.pi**2 / 5 * beta
-    return 1 - 2 * alpha * c + 4 * alpha**2 * c**2 - 8 * third * c**3 + 16 * alpha * fourth * c**4
-
-
-def _anchors(level: Level, layers: Iterator[float], say: Say) -> Table:
-    """Presses of a bonded layer, whose force is known in closed form."""
-    rows: list[list[Cell]] = []
-    for (nu, chi), found in zip(LAYERS[level], layers, strict=True):
-        hertz = 4 / 3 * E / (1 - nu**2) * math.sqrt(R) * DEPTH**1.5
-        force = hertz * dimitriadis(nu, chi)
-        rows.append([nu, chi, hertz, force, found, found / force - 1])
-        say(f"bonded layer, nu {nu}: {found / force - 1:+.2%}")
-    heads = columns("nu: g", "a/h: g", "Hertz [N]: .3f", "closed form [N]: .3f", "tacgen [N]: .3f", "error: +.1%")
-    note = (
-        "A ball on a layer bonded below, a/R = 0.05: Hertz (1882) times the series in a/h of Dimitriadis et al. (2002)."
-    )
-    return Table("Closed form", heads, rows, note)
-
-
-def pressed(nu: float, chi: float, fine: int) -> float:
-    """Force [N] of a ball of radius R pressed by DEPTH into a pad of thickness a/chi, with `fine` cells in the contact
-    radius a."""
-    a = math.sqrt(R * DEPTH)
-    law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
-    pad = GelBody(80 * a, 80 * a, layers=(GelLayer(a / chi, law, E),))
-    path = np.eye(4)[None].copy()
-    path[0, 2, 3] = -DEPTH
-    made = Scene(pad, SphereSdf(R), path, np.eye(4), np.zeros(1, int), 0.0, a / fine, 0.05)
-    built = mesh.build(pad, (-1.4 * a, 1.4 * a, -1.4 * a, 1.4 * a), made.edge, growth=1.5, coarsest=16 * a)
-    *_, state = mechanics.states(made, mechanics.Problem.of(made, built))
-    return -float(state.traction_force[..., 2].sum())
 
 
 def _published() -> Table:

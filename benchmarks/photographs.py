@@ -2,18 +2,23 @@
 
 import csv
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy import ndimage
 
 from benchmarks.results_page import ROOT
 from tacgen.calibrate import contact_circle
+from tacgen.calibrate.likeness import PictureOfPress
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.recipe.background_photo import read
 
 Array = np.ndarray
-UNTOUCHED = {"gelsight_mini": "background.png", "digit": "background.png", "ninedtact": "reference_rectified.png"}
+SENSORS = ("gelsight_mini", "digit", "ninedtact")  # whose shipped files are compared with photographs
+DOTTED = "gelsight_mini_dotted"
+MINIS = ("gelsight_mini", "gelsight_mini_unit2", DOTTED)
+UNTOUCHED = {"ninedtact": "reference_rectified.png"} | dict.fromkeys((*MINIS, "digit"), "background.png")
 # Centre and radius of the contact [px], start values of the refinement. In circles.csv this circle is only around the
 # bright part of the dent; the rim, where the colours turn, is as large as for the same ball elsewhere.
 MINI = {"ball_6.310mm_5.png": (279.5, 30.0, 34.0)}
@@ -30,31 +35,60 @@ DIGIT = {  # centre and radius of the contact [px], and depth [mm]: solved faces
     "sphere_0036.png": (164.0, 230.2, 40.0, 1.45),
 }
 NINE = ("ball_R4mm_rectified.png", 4.0, (245.0, 189.5), 1.78)  # radius [mm], centre [px], depth [mm]
+DARK = 0.15  # a dot is darker than its surroundings by this share
+WIDTH, RIM = 21, 3  # side of a square larger than a dot, and width of its rim [px]
+FILL = 4.0  # standard deviation of the Gaussian by which hidden pixels are filled [px]
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One real sensor: its untouched picture (H, W, 3) of 8 bit, and its presses."""
+    """One real sensor: its untouched picture (H, W, 3) of 8 bit, its presses, and the pixels (H, W) bool that a dot or
+    its rim hides in each press or in the untouched picture."""
 
     folder: Path
     untouched: Array
     presses: tuple[PhotographedPress, ...]
+    hidden: tuple[Array, ...]
 
 
 def reference() -> Path:
-    """The folder of photographs, with a folder for each sensor; it may not exist."""
+    """The folder of photographs, with a folder for each unit; it may not exist."""
     return Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
 def unit(name: str, folder: Path | None = None) -> Unit | None:
-    """The photographs of a sensor; None if there are none."""
+    """The photographs of a unit; None if there are none. Circles on flat gels, drawn by eye, are refined."""
     folder = (folder or reference()) / name
     if not (folder / UNTOUCHED[name]).is_file():
         return None
-    untouched, presses = read(folder / UNTOUCHED[name]), _presses(name, folder)
-    if name == "gelsight_mini":  # flat gel: refine the circles, which are a tenth too large by eye
+    untouched, presses = read(folder / UNTOUCHED[name]), as_drawn(name, folder)
+    hidden = [np.zeros(untouched.shape[:2], bool) for _ in presses]
+    if name == DOTTED:
+        hidden = [dark(untouched) | dark(press.picture) for press in presses]
+        presses = [refined(press, untouched, where) for press, where in zip(presses, hidden, strict=True)]
+    elif name in MINIS:
         presses = [contact_circle.refined(press, untouched) for press in presses]
-    return Unit(folder, untouched, tuple(presses))
+    return Unit(folder, untouched, tuple(presses), tuple(hidden))
+
+
+def as_drawn(name: str, folder: Path) -> list[PhotographedPress]:
+    """The presses of a unit with the circles that were drawn by eye."""
+    if name == "ninedtact":
+        file, ball, center, depth = NINE
+        return [PhotographedPress(file, read(folder / file), ball, center, None, depth)]
+    if name == "digit":
+        return [
+            PhotographedPress(file, read(folder / file), DIGIT_BALL, (x, y), r, d)
+            for file, (x, y, r, d) in DIGIT.items()
+        ]
+    first = name == "gelsight_mini"
+    keys = ("cx_px", "cy_px", "contact_radius_px") if first else ("centre_x_px", "centre_y_px", "contact_radius_px")
+    presses = []
+    for row in csv.DictReader((folder / ("circles.csv" if first else "presses.csv")).read_text().splitlines()):
+        x, y, radius = MINI.get(row["image"], [float(row[key]) for key in keys])
+        ball = float(row["ball_diameter_mm"]) / 2
+        presses.append(PhotographedPress(row["image"], read(folder / row["image"]), ball, (x, y), radius, None))
+    return presses
 
 
 def radial_profile(change: Array, middle: tuple[float, float], mm_per_px: float) -> Array:
@@ -65,20 +99,33 @@ def radial_profile(change: Array, middle: tuple[float, float], mm_per_px: float)
     return np.asarray(sums / count)
 
 
-def _presses(name: str, folder: Path) -> list[PhotographedPress]:
-    if name == "ninedtact":
-        file, ball, center, depth = NINE
-        return [PhotographedPress(file, read(folder / file), ball, center, None, depth)]
-    if name == "digit":
-        return [
-            PhotographedPress(file, read(folder / file), DIGIT_BALL, (x, y), r, d)
-            for file, (x, y, r, d) in DIGIT.items()
-        ]
-    rows = csv.DictReader((folder / "circles.csv").read_text().splitlines())
-    keys = ("cx_px", "cy_px", "contact_radius_px")
-    presses = []
-    for row in rows:
-        x, y, radius = MINI.get(row["image"], [float(row[key]) for key in keys])
-        ball = float(row["ball_diameter_mm"]) / 2
-        presses.append(PhotographedPress(row["image"], read(folder / row["image"]), ball, (x, y), radius, None))
-    return presses
+def darker(picture: Array) -> Array:
+    """Share (H, W) by which a picture is darker than what surrounds a dot."""
+    grey = picture.astype(float).max(axis=2)
+    ground = ndimage.grey_closing(grey, (WIDTH, WIDTH))
+    return np.asarray((ground - grey) / np.maximum(ground, 1.0))
+
+
+def dark(picture: Array) -> Array:
+    """Pixels (H, W) bool of dots and their rims."""
+    return np.asarray(ndimage.binary_dilation(darker(picture) > DARK, iterations=RIM))
+
+
+def refined(press: PhotographedPress, untouched: Array, hidden: Array) -> PhotographedPress:
+    """The press with its contact circle, found in a picture whose dots are filled from around them."""
+    change = filled(press.picture.astype(float) - untouched, hidden)
+    found = contact_circle.refined(replace(press, picture=untouched + change), untouched)
+    return replace(found, picture=press.picture)
+
+
+def filled(change: Array, hidden: Array) -> Array:
+    """A change of colour (H, W, 3) with hidden pixels (H, W) filled from around them."""
+    seen = (~hidden).astype(float)[..., None]
+    around = [ndimage.gaussian_filter(part, (FILL, FILL, 0)) for part in (change * seen, seen)]
+    return np.where(hidden[..., None], around[0] / np.maximum(around[1], 1e-9), change)
+
+
+def without(press: PictureOfPress, hidden: Array) -> PictureOfPress:
+    """A press without the pixels that are hidden; their change is filled, so that smoothing does not spread it."""
+    kept, change = ~hidden[press.where], filled(press.change, hidden)
+    return PictureOfPress(change, press.where & ~hidden, press.slopes[kept], press.flat[kept])

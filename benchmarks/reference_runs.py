@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import fields as names_of
 from pathlib import Path
@@ -98,8 +99,13 @@ class Frames(NamedTuple):
 
     @property
     def forces(self) -> Array:
-        """Of the indenter on the gel, (n, 3) [N]."""
-        return np.reshape([state.traction_force.sum((0, 1)) for state in self.states], (-1, 3))
+        """The forces of all frames (n, 3) [N]."""
+        return forces_of(self.states)
+
+
+def forces_of(states: Sequence[mechanics.State]) -> Array:
+    """Force of the indenter on the gel in each frame (n, 3) [N]."""
+    return np.reshape([state.traction_force.sum((0, 1)) for state in states], (-1, 3))
 
 
 def solve_frames(made: Scene, problem: mechanics.Problem, limit: float = math.inf) -> Frames:

@@ -1,6 +1,5 @@
-"""Overhead of running and reading many scenes; `pipeline` measures the speed-up by workers."""
+"""Overhead of running many scenes; `pipeline` measures the speed-up by workers."""
 
-import shutil
 import tempfile
 import time
 from importlib.util import find_spec
@@ -16,7 +15,6 @@ from tacgen.batch.local import Pool
 from tacgen.batch.worker_process import memory
 from tacgen.bundle.bundle import Writer
 from tacgen.bundle.resume import SceneResult, once
-from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 
 ABOUT = "Many scenes by `tacgen run`, in wall-clock seconds, which other work on the machine increases."
@@ -25,15 +23,13 @@ TINY = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "cont
 
 
 def bench(level: Level, say: Say) -> Result:
-    """Engines, memory and reading."""
+    """Engines, and the memory of a worker."""
     count = {"smoke": 4, "normal": 48, "full": 200}[level]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         tables = [_overhead(count, out, say)]
         if level != "smoke":
             tables.append(_memory(count, out, say))
-            if find_spec("torch"):
-                tables.append(_reading(out, say))
         return Result(ABOUT, tables)
 
 
@@ -93,36 +89,3 @@ def _memory(count: int, out: Path, say: Say) -> Table:
     say(f"memory: {start:.0f} MB, then {end:.0f} MB")
     heads = columns("scenes: d", "after a tenth [MB]: .0f", "after all [MB]: .0f", "a scene [kB]: +.0f")
     return Table("Memory of a worker", heads, [[count, start, end, 1000 * (end - start) / count]])
-
-
-def _reading(out: Path, say: Say) -> Table:
-    """Random frames by PyTorch's DataLoader, RGB and force, 320 x 240, two loader workers."""
-    from torch.utils.data import DataLoader
-
-    from tacgen.bundle import dataset, pack
-    from tacgen.torch import TactileDataset
-
-    sets = ("quality=draft", "outputs=[force, rgb]", PRESS.format(frames=5))
-    batch.run(plan.load(assets.recipe_path("quickstart"), sets), out / "one")
-    for i in range(1, 200):  # separate files, against the effect of caches
-        shutil.copy(out / "one" / "scene-00000.h5", out / "one" / f"scene-{i:05d}.h5")
-    packed = pack.pack(dataset.scenes(out / "one"), out / "packed", 32).folder
-    table: list[list[Cell]] = []
-    for name, kind in (("bundles", out / "one"), ("packed", packed)):
-        data = TactileDataset(kind)
-        order = np.random.default_rng(0).permutation(len(data))
-        for i in order[:: len(data) // 60]:
-            data[int(i)]  # opens the files
-        start = time.process_time()
-        for i in order:
-            data[int(i)]
-        each = 1000 * (time.process_time() - start) / len(order)
-        loader: Any = DataLoader(data, batch_size=64, shuffle=True, num_workers=2, persistent_workers=True)
-        rates = []
-        for _ in range(3):  # the first starts the workers
-            start = time.perf_counter()
-            rates.append(sum(len(part["force"]) for part in loader) / (time.perf_counter() - start))
-        table.append([name, each, min(rates[1:]), max(rates[1:])])
-        say(f"reading {name}: {rates[-1]:.0f} frames a second")
-    heads = columns("from", "processor ms a frame: .2f", "frames a second, from: .0f", "to: .0f")
-    return Table("Reading for training", heads, table, "RGB and force, 320 x 240, at random, two loader workers.")

@@ -160,7 +160,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Found:
-    """Of a scene: force on the gel [N], nan if it is not solved; expected error [-]; Newton iterations; processor
+    """A solved scene: force on the gel [N], nan if it is not; expected error [-]; Newton iterations; processor
     seconds a frame; why it is refused or rejected."""
 
     force: float = math.nan

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import step_size_error
 from benchmarks.cases import CASES, PLAIN, RANDOM, random
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
@@ -128,8 +129,6 @@ def overlap(problem: mechanics.Problem, state: mechanics.State, fine: int = 5) -
 
 def bench(level: Level, say: Say) -> Result:
     """The cases, and rounds of random scenes; after the first round half of them are near the hardest ones so far."""
-    from benchmarks import sensitivity, step_size_error
-
     rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
     named = {name: CASES[name] for name in SMOKE_CASES} if level == "smoke" else CASES
     rng, points = np.random.default_rng(7), list[Array]()
@@ -149,7 +148,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
     wrong = [one.name for one in everyone if not one.sound]
     about = ABOUT + (f" **Wrong frames in: {', '.join(wrong)}.**" if wrong else "")
-    return Result(about, [*tables, step_size_error.table(level, say), sensitivity.table(level, say)])
+    return Result(about, [*tables, step_size_error.table(level, say)])
 
 
 def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:

@@ -43,7 +43,7 @@ def table(level: Level, say: Say) -> Table:
 
 
 def finer(made: Scene, times: int) -> Scene:
-    """The same path with `times` frames for each; every `times`-th is the same pose."""
+    """A scene whose path has `times` frames for each; every `times`-th is the same pose."""
     ways = list(pairwise([made.start, *made.poses]))
     turns = [shortest_turn(a, b) for a, b in ways] if made.turns is None else made.turns
     poses = [pose for (a, b), turn in zip(ways, turns, strict=True) for pose in along(a, b, turn, times)]

@@ -1,9 +1,8 @@
 """Fit a shipped sensor file to the reference photographs of a real unit, by `tacgen calibrate optics`.
 
-    python scripts/calibrate_optics.py gelsight_mini [../shared/reference] [--but 9.500mm] [-o mine.yaml]
+    python scripts/calibrate_optics.py gelsight_mini [../shared/reference] [-o mine.yaml]
 
-It only arranges the photographs as that command needs them: background.png and presses.csv. `--but 9.500mm` leaves out
-those with that text in their name; of clear gels it prints how well the file before and after the fit suits them.
+It only arranges the photographs as that command needs them: background.png and presses.csv.
 """
 
 import argparse
@@ -12,53 +11,35 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tacgen.calibrate import led_fit, press_faces
-from tacgen.calibrate.likeness import Comparison
-from tacgen.calibrate.photos import PhotographedPress
-from tacgen.recipe import loading
+from tacgen.calibrate import led_fit
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
 
 
-def left_out(press: PhotographedPress, but: list[str]) -> bool:
-    """Whether a press has one of these texts in its name."""
-    return any(part in press.name for part in but)
-
-
-def judged(file: Path, unit: photographs.Unit, but: list[str]) -> str:
-    """How well a sensor file of a clear gel suits the presses that were left out."""
-    sensor, _ = loading.read_sensor(file)
-    presses = [press for press in unit.presses if left_out(press, but)]
-    faces = [press_faces.face(sensor, press, {}) for press in presses]
-    return str(Comparison(sensor).likeness(presses, faces, unit.untouched))
-
-
-def lay_out(unit: photographs.Unit, untouched: str, into: Path, but: list[str]) -> None:
-    """background.png and presses.csv in a folder of links to photographs, `but` for some."""
+def lay_out(unit: photographs.Unit, untouched: str, into: Path) -> None:
+    """background.png and presses.csv in a folder of links to photographs."""
     into.mkdir()
     (into / "background.png").symlink_to((unit.folder / untouched).resolve())
     with (into / "presses.csv").open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["file", "ball_radius_mm", "x_px", "y_px", "contact_radius_px", "depth_mm"])
         for press in unit.presses:
-            if not left_out(press, but):
-                (into / press.name).symlink_to((unit.folder / press.name).resolve())
-                table.writerow([press.name, press.ball, *press.center, press.contact, press.depth])
+            (into / press.name).symlink_to((unit.folder / press.name).resolve())
+            table.writerow([press.name, press.ball, *press.center, press.contact, press.depth])
 
 
 def main() -> None:
     """Fit, and say how well."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sensor", choices=photographs.UNTOUCHED)
+    parser.add_argument("sensor", choices=photographs.SENSORS)
     parser.add_argument("photos", type=Path, nargs="?", help="a folder a sensor in it")
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--start", help="the sensor file to start from; the shipped one if not given")
     parser.add_argument("--tolerance-mm", type=float, default=0.5)
     parser.add_argument("--tolerance-deg", type=float, default=5.0)
     parser.add_argument("--steps", type=int, default=1)
-    parser.add_argument("--but", action="append", default=[], help="part of the names of photographs to leave out")
     asked = parser.parse_args()
     unit = photographs.unit(asked.sensor, asked.photos)
     if unit is None:
@@ -66,14 +47,11 @@ def main() -> None:
     how = led_fit.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
     with tempfile.TemporaryDirectory() as scratch:
         into = Path(scratch) / "reference"
-        lay_out(unit, photographs.UNTOUCHED[asked.sensor], into, asked.but)
+        lay_out(unit, photographs.UNTOUCHED[asked.sensor], into)
         found = led_fit.optics(asked.start or asked.sensor, into, how)
         print("\n".join(found.lines()))
-        out = asked.out or into / "fitted.yaml"
-        found.write(out)
-        if asked.but and asked.sensor != "ninedtact":
-            print(f"left out, before: {judged(found.path, unit, asked.but)}")
-            print(f"left out, after: {judged(out, unit, asked.but)}")
+        if asked.out:
+            found.write(asked.out)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ Results go to stdout, progress and errors to stderr. Every command takes `-h` an
 |---|---|
 | 0 | done |
 | 1 | `run`: scenes were rejected or failed; `status`: not every scene is done; `check`: findings, notes apart |
-| 1 | `doctor`: something needed does not work; `bench`: a bench failed |
+| 1 | `doctor`: something needed does not work |
 | 2 | an error in the recipe or in the arguments |
 | 130 | interrupted; finished scenes are kept, and the same command resumes |
 """
@@ -77,7 +77,7 @@ def row(parameter: click.Parameter, context: click.Context, text: str) -> str:
 
 
 def default(parameter: click.Parameter, flag: bool) -> str:
-    """What holds where nothing is given; empty where that is nothing."""
+    """The value where nothing is given; empty if there is none."""
     if parameter.required:
         return "required"
     value = parameter.default

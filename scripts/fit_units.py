@@ -16,7 +16,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-from benchmarks import mini_units, photographs  # noqa: E402
+from benchmarks import photographs  # noqa: E402
 from tacgen.calibrate import led_fit, press_faces  # noqa: E402
 from tacgen.calibrate.clear_fits import RIDGES, Fits  # noqa: E402
 from tacgen.calibrate.clear_trials import Tolerance  # noqa: E402
@@ -35,9 +35,9 @@ RIDGE = RIDGES[1]  # the shipped file's own fit chose it by presses that it had 
 ROTATED = 5.0  # largest rotation of an LED [deg]
 
 
-def fit(sensor: LitSensor, unit: mini_units.MiniUnit, tolerance: float, steps: int) -> Fitted:
+def fit(sensor: LitSensor, unit: photographs.Unit, tolerance: float, steps: int) -> Fitted:
     """Fit to all presses of a unit; pixels that a dot hides are not compared."""
-    photos = Photos(photographs.reference() / unit.name, unit.untouched, unit.presses)
+    photos = Photos(unit.folder, unit.untouched, unit.presses)
     faces = [press_faces.face(sensor, press, {}) for press in unit.presses]
     trial = Fits(sensor, photos, faces, Tolerance(tolerance, float(np.radians(ROTATED))), bare=True)
     eye = trial.sensor.camera
@@ -54,13 +54,12 @@ def main() -> None:
     parser.add_argument("--tolerance-mm", type=float, default=1.0)
     parser.add_argument("--steps", type=int, default=8, help="iterations of a fit at most, for each ridge")
     asked = parser.parse_args()
-    if not mini_units.here():
-        sys.exit(f"no photographs of three Minis in {photographs.reference()}")
     path = assets.sensor_path(SHIPPED)
     sensor = cast(LitSensor, loading.read_sensor(path)[0])
     asked.out.mkdir(parents=True, exist_ok=True)
     for folder, name in NAMES.items():
-        unit = mini_units.unit(folder)
+        if (unit := photographs.unit(folder)) is None:
+            sys.exit(f"no photographs in {photographs.reference() / folder}")
         found = fit(sensor, unit, asked.tolerance_mm, asked.steps)
         said = f"an untouched picture and {len(unit.presses)} presses of another unit ({ORIGIN[folder]})"
         changes = led_fit.changes_of(sensor, found, said, bare=True)

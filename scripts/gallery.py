@@ -152,67 +152,28 @@ def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
     )
 
 
-def paths_section() -> list[str]:
-    """The text about the sheet of paths."""
-    return [
-        "## Traced by Mitsuba",
-        "",
-        "A gear pressed in, by `transport` and by Mitsuba's `path` (`recipes/traced_paths.yaml`), without the camera's",
-        "noise; their difference is shown four times as strong. Its grain is the noise of the paths, which falls with",
-        "the root of their number.",
-        "",
-        "![Pictures by transport and by path](gallery/paths.webp){ loading=lazy }",
-        "",
-    ]
-
-
 def page(found: dict[str, list[Bundle]], paths: bool) -> str:
-    """The text of docs/gallery.md."""
+    """The text of docs/gallery.md, from gallery.md beside this program."""
     sensor, first = next(iter(found.items()))
     objects = catalogue.objects()
     kinds = [kind for kind in Segment.model_fields if columns(first, kind)]
-    lines = [
-        "# Gallery",
-        "",
-        "All shapes and shipped objects, with all movements, on all shipped sensors:",
-        f"{sum(map(len, found.values()))} scenes at quality `draft`. `make gallery` runs",
-        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page, in three hours on one core.",
-        "",
-        "A column is one frame of one scene: camera image, pressure, magnitude and direction of the tangential",
-        "traction on the gel, and von Mises stress in the plane through the indenter along x. The maps show the dotted",
-        "part of the camera image, or all of it. Colours go from 0 to the number in the corner. Rejected scenes are",
-        "listed under their sensor, with the reason.",
-        "",
-        "| indenter | |",
-        "|---|---|",
-        *(
-            f"| {name} | {objects.get(name) or caption.indenter_text(bundle).partition(', ')[2]} |"
-            for name, bundle, _ in columns(first, kinds[0])
-        ),
-        "",
-        "| movement | | here |",
-        "|---|---|---|",
-    ]
+    indenters, moves, sheets = list[str](), list[str](), list[str]()
+    for name, bundle, _ in columns(first, kinds[0]):
+        indenters.append(f"| {name} | {objects.get(name) or caption.indenter_text(bundle).partition(', ')[2]} |")
     for kind in kinds:
         about = inspect.getdoc(get_args(Segment.model_fields[kind].annotation)[0]).split("\n\n")[0].replace("\n", " ")
         move = next(step[kind] for step in columns(first, kind)[0][1].recipe["trajectory"] if step.get(kind))
-        lines.append(f"| [{kind}](#{sensor}-{kind}) | {about} | {how_far(move)} |")
-    lines += [
-        "",
-        "All movements but the replay follow a press. The last frame is shown; for a release, the one half way up.",
-        "",
-        "Other pictures: [a grasp](cookbook/grasp.md), [the same contact on several sensors](cookbook/sensor_pairs.md),"
-        " [contact events](cookbook/contact_events.md), [uncertain labels](cookbook/uncertainty.md),"
-        " [taxels](cookbook/taxels.md), [bundles in the browser](cookbook/looking.md).",
-        "",
-        *(paths_section() if paths else []),
-    ]
+        moves.append(f"| [{kind}](#{sensor}-{kind}) | {about} | {how_far(move)} |")
     for sensor, bundles in found.items():
-        lines += heading(sensor, bundles)
+        sheets += heading(sensor, bundles)
         for kind in kinds:
             picture = f"![{sensor}, {kind}](gallery/{sensor}-{kind}.webp){{ loading=lazy }}"
-            lines += [f"### {sensor}: {kind}", "", picture, ""]
-    return "\n".join(lines).rstrip() + "\n"
+            sheets += [f"### {sensor}: {kind}", "", picture, ""]
+    before, section = Path(__file__).with_suffix(".md").read_text().split("<!-- paths -->\n")
+    texts = {"SCENES": [str(sum(map(len, found.values())))], "INDENTERS": indenters, "MOVEMENTS": moves}
+    for name, lines in texts.items():
+        before = before.replace(f"{{{name}}}", "\n".join(lines))
+    return (before + section * paths + "\n" + "\n".join(sheets)).rstrip() + "\n"
 
 
 def by_sensor(folder: Path) -> dict[str, list[Bundle]]:

@@ -80,7 +80,7 @@ def row(key: str, info: dict[str, Any], required: bool) -> str:
 
 
 def allowed(info: dict[str, Any]) -> str:
-    """What a value may be, from its JSON schema: `number above 0`, `3 numbers`."""
+    """The values that are allowed, from a JSON schema: `number above 0`, `3 numbers`."""
     if "anyOf" in info:
         return " or ".join(allowed(each) for each in info["anyOf"] if each.get("type") != "null")
     if "$ref" in info or "oneOf" in info:

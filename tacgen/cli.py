@@ -4,7 +4,6 @@ Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findi
 2 usage or recipe error, 130 interrupted.
 """
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -358,37 +357,3 @@ def doctor(
     lines = [f"{'ok ' if f.ok else 'BAD' if f.needed else '-- '} {f.name:<20} {f.note}" for f in findings]
     show_result([f._asdict() for f in findings], "\n".join(lines), as_json)
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)
-
-
-@app.command()
-def bench(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME]...",
-            help="mechanics ordinary pipeline cost peers optics real stability sharp pay scaling load, or all",
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for RESULTS.md and results/.")] = Path("out/bench"),
-    full: Annotated[bool, typer.Option("--full", help="Finer meshes, more scenes: an hour or more.")] = False,
-    smoke: Annotated[bool, typer.Option("--smoke", help="The smallest run of each bench, as a test.")] = False,
-) -> None:
-    """Measure accuracy, run time, stability and the cost of outputs and batches on this machine."""
-    if full and smoke:
-        raise UserError("--full, --smoke: give only one of them")
-    root = Path(__file__).parents[1]
-    if not (root / "benchmarks").is_dir():
-        raise UserError("bench: needs the source code: git clone it and run `tacgen bench` in the clone")
-    sys.path.insert(0, str(root))
-    import benchmarks as benches
-
-    with writing(out):
-        probe(out)
-        failed = benches.run(
-            names or [],
-            out,
-            "full" if full else "smoke" if smoke else "normal",
-            lambda text: say(text, err=True),
-        )
-    tell(str(out / benches.PAGE))
-    raise typer.Exit(1 if failed else 0)

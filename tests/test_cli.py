@@ -419,10 +419,3 @@ def test_check_prints_findings_and_exits_with_1(tmp_path: Path, monkeypatch: pyt
     done = tacgen_("check", str(tmp_path))
     said = f"{tmp_path}/a.h5: note: touches in no frame\n{tmp_path}: nothing found wrong\n"
     assert (done.exit_code, done.stdout) == (0, said), "a note is not wrong"
-
-
-def test_benches_are_reported_to_need_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tacgen.cli.__file__", str(tmp_path / "site-packages" / "tacgen" / "cli.py"))
-    found = tacgen_("bench", "cost", "-o", str(tmp_path / "out"))
-    assert found.exit_code == 2
-    assert found.stderr.startswith("bench: needs the source code: ")

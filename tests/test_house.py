@@ -150,6 +150,7 @@ READERS = {
     "compiled": {"read_bytes"},
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
+LINES_BESIDE = 5900  # of benchmarks/ and scripts/ together
 NOT_NUMPY = {
     "cli",
     "cli_calibrate",
@@ -297,7 +298,19 @@ def test_only_tensor_packages_need_pytorch_and_others_import_them_inside_functio
 
 
 def test_a_file_is_one_idea() -> None:
-    assert [name for name, path in files().items() if len(text_of(path).splitlines()) > 400] == []
+    every = [*files().values(), *beside()]
+    assert [path.name for path in every if len(text_of(path).splitlines()) > 400] == []
+
+
+def beside() -> list[Path]:
+    """The programs beside the package: benches and scripts."""
+    return [path for folder in ("benchmarks", "scripts") for path in sorted((ROOT / folder).glob("*.py"))]
+
+
+def test_benches_and_scripts_keep_to_their_lines() -> None:
+    """A bench earns its place by figures of README.md or docs/RESULTS.md, a script by a file that ships; a program that
+    has answered its question goes."""
+    assert sum(len(text_of(path).splitlines()) for path in beside()) <= LINES_BESIDE
 
 
 def loaded_by(code: str) -> set[str]:
@@ -421,7 +434,7 @@ def test_only_one_module_prints_results() -> None:
 def test_a_docstring_stands_alone() -> None:
     """It says what the thing is: no reader has read the one above."""
     wrong = []
-    for name, path in files().items():
+    for name, path in {**files(), **{f"{path.parent.name}.{path.stem}": path for path in beside()}}.items():
         nodes = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef))
         begun = [text for node in nodes if (text := ast.get_docstring(node) or "")]
         unclear = ("The same", "Those", "What ", "Of ")

@@ -16,7 +16,6 @@ from helpers.blocks import block
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_info, threadpool_limits
-from typer.testing import CliRunner
 
 import benchmarks as bench
 from benchmarks import (
@@ -32,8 +31,8 @@ from benchmarks import (
     step_size_error,
     summary,
 )
+from benchmarks.__main__ import main
 from benchmarks.cases import PLAIN
-from tacgen.cli import app
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import solver
@@ -41,7 +40,6 @@ from tacgen.optics import camera_response
 from tacgen.recipe import scene_of_row
 
 ROOT = Path(__file__).parents[2]
-runner = CliRunner()
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
@@ -185,10 +183,15 @@ def test_a_bench_that_fails_is_reported_and_the_others_go_on(tmp_path: Path, mon
     assert "## Scaling" in (tmp_path / "RESULTS.md").read_text()
 
 
-def test_an_unknown_bench_is_reported(tmp_path: Path) -> None:
-    told = runner.invoke(app, ["bench", "speed", "-o", str(tmp_path)])
-    assert told.exit_code == 2
-    assert told.stderr.startswith("speed: must be one of mechanics, ")
+def test_an_unknown_bench_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["speed", "-o", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith("speed: must be one of mechanics, ")
+
+
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("mine")
+    assert main(["peers", "--smoke", "-o", str(tmp_path / "file")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
 
 
 def test_a_references_noise_is_not_taken_for_an_error() -> None:
@@ -209,7 +212,7 @@ def test_a_references_noise_is_not_taken_for_an_error() -> None:
 
 
 def test_parts_of_a_reference_say_more_than_halves() -> None:
-    """Of as many paths: by a root of two at most, and without bias."""
+    """With as many paths: by a root of two at most, and without bias."""
     from benchmarks.image_error import decibel
 
     camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(5)
@@ -261,11 +264,12 @@ def test_a_bench_has_one_thread_though_numpy_is_loaded(tmp_path: Path, monkeypat
 
 
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in bench.BENCHES])
-def test_each_runs(name: str, tmp_path: Path) -> None:
-    told = runner.invoke(app, ["bench", name, "--smoke", "-o", str(tmp_path)])
-    assert told.exit_code == 0, told.stderr
+def test_each_runs(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = main([name, "--smoke", "-o", str(tmp_path)]), capsys.readouterr()
+    assert code == 0, told.err
+    assert told.out == f"{tmp_path / 'RESULTS.md'}\n"
     if name == "real" and photographs.unit("gelsight_mini") is None:
-        assert "real: left out, no photographs in" in told.stderr
+        assert "real: left out, no photographs in" in told.err
         return
     found = json.loads((tmp_path / "results" / f"{name}.json").read_text())
     assert found["tables"]
@@ -354,8 +358,7 @@ def test_every_line_of_pay_is_a_scene() -> None:
 
 def test_the_readme_says_what_the_results_say() -> None:
     """`make bench` writes both; a README that was touched since, or a page without it, is told here."""
-    figures = (ROOT / "README.md").read_text().partition("<!-- figures: written by make bench -->\n")[2]
-    figures = figures.partition("\n<!-- end of figures -->")[0]
+    figures = (ROOT / "README.md").read_text().partition(summary.BEGIN)[2].partition(f"\n{summary.END}")[0]
     assert figures == summary.short(ROOT / "docs" / "results")
     assert figures in (ROOT / "docs" / "RESULTS.md").read_text()
 
@@ -425,7 +428,7 @@ def test_everything_is_what_a_recipe_can_ask_of_that_sensor(sensor: str) -> None
 def test_a_file_that_no_bench_wrote_is_not_replaced(tmp_path: Path, name: str) -> None:
     (place := tmp_path / name).parent.mkdir(exist_ok=True)
     place.write_text("mine")
-    with pytest.raises(UserError, match=f"{name}: was not written by tacgen bench"):
+    with pytest.raises(UserError, match=f"{name}: was not written by python -m benchmarks"):
         bench.run(["cost"], tmp_path, "smoke", print)
     assert place.read_text() == "mine"
 

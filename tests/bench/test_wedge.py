@@ -4,23 +4,23 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import wedge
+from benchmarks import photographs, real
 from tacgen.calibrate import unit_photos
 from tacgen.recipe import loading
 
 
 def test_it_is_left_out_without_photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACGEN_REFERENCE", str(tmp_path))
-    assert not wedge.here()
+    assert not real.wedge_here()
 
 
 @pytest.mark.slow
 def test_its_sensor_file_and_table_are_what_the_calibration_takes(tmp_path: Path) -> None:
-    sensor, _ = loading.read_sensor(wedge.SENSOR)
-    assert (sensor.camera.width_px, sensor.camera.height_px) == wedge.SIZE
-    if not wedge.here():
-        pytest.skip(f"no photographs in {wedge.photographs.reference()}")
-    wedge.lay_out(tmp_path)
+    sensor, _ = loading.read_sensor(real.WEDGE_UNIT)
+    assert (sensor.camera.width_px, sensor.camera.height_px) == real.WEDGE_SIZE
+    if not real.wedge_here():
+        pytest.skip(f"no photographs in {photographs.reference()}")
+    real.wedge_laid_out(tmp_path)
     photos = unit_photos.read(tmp_path, sensor.camera)
     assert len(photos.presses) == 43
     assert photos.recordings == ["grip 0", "grip 1"]

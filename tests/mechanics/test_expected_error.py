@@ -97,7 +97,7 @@ def test_sharp_edges_add_to_it() -> None:
 @pytest.mark.parametrize(
     ("contact", "radius", "edge", "measured"),
     [
-        # a torus on DIGIT, by scripts/edge_law.py
+        # a torus on DIGIT, by scripts/edge_law.py, last in commit f8101efd
         (disc(1.786), 1.4, 1.2, 0.1274),
         (disc(1.786), 1.4, 0.6, 0.0392),
         (disc(1.786), 1.4, 0.42, 0.0179),

@@ -1,4 +1,4 @@
-"""The default quality against `reference`; `tacgen bench mechanics` has it for every sensor."""
+"""The default quality against `reference`; `python -m benchmarks mechanics` has it for every sensor."""
 
 import numpy as np
 import pytest

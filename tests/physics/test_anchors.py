@@ -9,7 +9,6 @@ import pytest
 from helpers import blocks
 from helpers.presses import Run, gel, poses, scene
 
-from benchmarks.peers import dimitriadis
 from tacgen.geometry.analytic_sdf import CylinderSdf, SphereSdf
 
 Array = np.ndarray
@@ -19,6 +18,17 @@ DEPTH = A**2 / R
 FRICTION = 0.5
 DRAG = 0.17  # some 60 % of full slip
 PUNCH = 0.2  # how deep the punch is pressed before it is turned
+
+
+def dimitriadis(nu: float, chi: float) -> float:
+    """Force of a ball on a bonded layer over that on a half space, chi = sqrt(R depth)/thickness: Dimitriadis, Horkay,
+    Maresca, Kachar & Chadwick (2002), Biophys. J. 82, 2798, Eqs. 12-13; to fourth order, for chi well below 1."""
+    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
+    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
+    c = chi / np.pi
+    third = alpha**3 + 4 * np.pi**2 / 15 * beta
+    fourth = alpha**3 + 3 * np.pi**2 / 5 * beta
+    return 1 - 2 * alpha * c + 4 * alpha**2 * c**2 - 8 * third * c**3 + 16 * alpha * fourth * c**4
 
 
 def pressed(nu: float, thickness: float, edge: float) -> Run:

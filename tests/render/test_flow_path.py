@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from helpers import flow
 from helpers.tiny import sensor
 
-from benchmarks import flow
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Untouched

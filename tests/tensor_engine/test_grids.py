@@ -7,8 +7,7 @@ from helpers.needs import needs
 
 needs("torch")
 
-from benchmarks.draws import drawn
-from benchmarks.tensor_engine import scene_of
+from benchmarks.gpu import scene_of
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import mesh
 from tacgen.tensor_engine import grids
@@ -18,7 +17,7 @@ from tacgen.tensor_engine.grids import GridPattern
 
 @pytest.mark.parametrize("index", [0, 2, 5, 10])  # DIGIT's outline has an arc
 def test_an_embedded_mesh_is_the_scenes_own(index):
-    scene = scene_of(drawn(index))
+    scene = scene_of(index, "draft")
     own, found = mesh.of(scene), grids.embedded(scene)
     assert found is not None
     assert (found.points[found.nodes] == own.points).all()
@@ -31,7 +30,7 @@ def test_an_embedded_mesh_is_the_scenes_own(index):
 
 
 def test_contact_stays_on_the_patch():
-    scene = scene_of(drawn(10))
+    scene = scene_of(10, "draft")
     found, (x0, x1, y0, y1) = grids.embedded(scene), mesh.footprint(scene)
     x, y, z = found.points[found.used].T
     near = found.used.nonzero()[0][(x > x0 - 1e-9) & (x < x1 + 1e-9) & (y > y0 - 1e-9) & (y < y1 + 1e-9) & (z == 0)]
@@ -40,7 +39,7 @@ def test_contact_stays_on_the_patch():
 
 
 def test_void_cells_are_boxes_too():
-    found = grids.embedded(scene_of(drawn(0)))
+    found = grids.embedded(scene_of(0, "draft"))
     corner, *others = found.points[found.pattern.hexes[:, [0, 1, 3, 4]]].transpose(1, 0, 2)
     volume = np.linalg.det(np.stack([other - corner for other in others], 1))
     assert (~found.exists).any()
@@ -66,7 +65,7 @@ def test_a_contact_larger_than_all_patterns_has_none():
 
 
 def test_a_mesh_lies_in_larger_patterns_too():
-    scene = scene_of(drawn(0))
+    scene = scene_of(0, "draft")
     own, larger = mesh.of(scene), GridPattern((26, 30, 5))
     found = grids.embedded(scene, larger)
     assert found.pattern == larger

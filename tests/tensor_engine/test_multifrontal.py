@@ -8,7 +8,6 @@ torch = needs("torch")
 
 from helpers import presses
 
-from benchmarks.tensor_engine import elements_of, product, refined
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.linear_solvers import best
@@ -52,6 +51,37 @@ def factors(solver, data):
         return solver.backward(panels, slots, y, torch.cholesky_solve(load[:, :, None], L).squeeze(-1))
 
     return solve, S, bad
+
+
+def elements_of(grid, pattern, data):
+    """Element tangents (e, 24, 24) whose sum is the matrix of `data`, the entries of the mesh's pattern: each block of
+    two nodes is given wholly to the first element that has both."""
+    n = pattern.nodes
+    i, j, slots = pattern.pairs // n, pattern.pairs % n, pattern.blocks
+    upper = np.where(slots >= 0, data[slots], 0.0)
+    turned = upper[np.searchsorted(pattern.pairs, j * n + i)].transpose(0, 2, 1)
+    both = np.where((slots >= 0) & (i == j)[:, None, None], 0.0, turned) + upper
+    hexes = grid.pattern.hexes
+    row, column = np.repeat(hexes, 8, axis=1).ravel(), np.tile(hexes, 8).ravel()
+    keys, first = np.unique(row * grid.pattern.size + column, return_index=True)
+    out = np.zeros((row.size, 3, 3))
+    out[first[np.searchsorted(keys, grid.nodes[i] * grid.pattern.size + grid.nodes[j])]] = both
+    return out.reshape(len(hexes), 8, 8, 3, 3).transpose(0, 1, 3, 2, 4).reshape(len(hexes), 24, 24)
+
+
+def product(elements, hexes, x):
+    """The sums of element tangents (B, e, 24, 24) of hexes (e, 8) times x (B, n, 3)."""
+    parts = elements @ x[:, hexes].flatten(2)[..., None]
+    return torch.zeros_like(x).index_add_(1, hexes.flatten(), parts.reshape(len(x), -1, 3))
+
+
+def refined(solve, times, b, rounds):
+    """x with K x = b by iterative refinement (Wilkinson 1963): `solve` is approximate, `times` gives K x in the
+    precision of b (B, n, 3), in which x is returned."""
+    x = solve(b).to(b.dtype)
+    for _ in range(rounds):
+        x = x + solve(b - times(x)).to(b.dtype)
+    return x
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import real_units, summary
-from benchmarks.real_units import Samples
+from benchmarks import photographs, real, summary
+from benchmarks.real import Samples
 from tacgen.calibrate import normal_net
-from tacgen.calibrate.likeness import Comparison
+from tacgen.calibrate.likeness import Comparison, PictureOfPress, circle
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
@@ -30,7 +30,7 @@ def pressed(seed: int, gain: float = 1.0) -> Samples:
 @pytest.fixture(scope="module")
 def rows() -> list[Row]:
     """The recipe's scenes."""
-    return list(plan.load(assets.recipe_path(real_units.RECIPE)).rows)
+    return list(plan.load(assets.recipe_path(real.RECIPE)).rows)
 
 
 @pytest.fixture(autouse=True)
@@ -42,39 +42,39 @@ def one_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_network_learns_one_unit_and_fails_on_one_of_another_contrast() -> None:
     net = NormalNet.trained([pressed(k) for k in range(192)])
-    assert real_units.off(net, [pressed(999)]) < 1.5
-    assert real_units.off(net, [pressed(999, gain=2.0)]) > 8
+    assert real.off(net, [pressed(999)]) < 1.5
+    assert real.off(net, [pressed(999, gain=2.0)]) > 8
 
 
 @pytest.mark.slow
 def test_own_photographs_are_left_out_in_turn() -> None:
     """The odd third is unlike all others: no network that has not seen it suits it."""
     presses = [pressed(k) for k in range(60)]
-    even = real_units.left_out(presses)
-    odd = real_units.left_out([one if k % 3 else pressed(k, gain=-1.0) for k, one in enumerate(presses)])
+    even = real.left_out(presses)
+    odd = real.left_out([one if k % 3 else pressed(k, gain=-1.0) for k, one in enumerate(presses)])
     assert even < 2
     assert odd > even + 4
 
 
 @pytest.mark.slow
 def test_the_recipe_draws_as_many_units_around_each_of_the_three_files(rows: list[Row]) -> None:
-    count = {name: sum(row.sensor.name == name for row in rows) for name in real_units.FILES.values()}
+    count = {name: sum(row.sensor.name == name for row in rows) for name in real.FILES.values()}
     assert sum(count.values()) == len(rows) == 64
     assert min(count.values()) >= 20
     assert len({row.sensor.coating.grain.seed for row in rows}) == 64
     assert all(row.sensor.markers is None for row in rows)
-    lights = [real_units.sensor_of(name).leds[1].radiance[1] for name in count]
+    lights = [real.sensor_of(name).leds[1].radiance[1] for name in count]
     assert max(lights) / min(lights) > 1.2
 
 
 @pytest.mark.slow
 def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monkeypatch: pytest.MonkeyPatch) -> None:
     """The last of three units has another contrast: only networks that have seen its file suit it."""
-    names = list(real_units.FILES)
+    names = list(real.FILES)
 
     def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
         """Dents steeper than the presses of two units are unlike those."""
-        gain = 3.0 if sensor.name == real_units.FILES[names[2]] else 1.0
+        gain = 3.0 if sensor.name == real.FILES[names[2]] else 1.0
         made = [pressed(seed + k, gain) for k in range(count)]
         steep = Samples(pressed(seed, -1.0).features, 1.2 * pressed(seed).slopes)
         return [*made, steep] if deepest > 0.8 and gain == 1.0 else made
@@ -91,15 +91,15 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
             steepest.append(max(one.steepest for one in presses))
             return super().trained(presses)
 
-    monkeypatch.setattr(real_units, "NormalNet", Net)
-    monkeypatch.setattr(real_units, "drawn", drawn)
-    monkeypatch.setattr(real_units, "photographed", photographed)
-    monkeypatch.setattr(real_units.plan, "load", lambda path: SimpleNamespace(rows=rows))
+    monkeypatch.setattr(real, "NormalNet", Net)
+    monkeypatch.setattr(real, "drawn", drawn)
+    monkeypatch.setattr(real, "photographed", photographed)
+    monkeypatch.setattr(real.plan, "load", lambda path: SimpleNamespace(rows=rows))
     monkeypatch.setattr(normal_net, "MOST", 500)
     monkeypatch.setattr(normal_net, "STEPS", 100)
-    table = real_units.table(lambda text: None)
+    table = real.population(lambda text: None)
     assert [row[0] for row in table.rows] == names
-    assert all(len(row) == 3 + len(real_units.HEADS) for row in table.rows)
+    assert all(len(row) == 3 + len(real.TRAINED) for row in table.rows)
     errors = {row[0]: row[3:] for row in table.rows}
     others, _, own, left_out = errors[names[2]]
     assert others > 8 > 3 > own
@@ -111,13 +111,34 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
 
 @pytest.mark.slow
 def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
-    compared = Comparison(real_units.sensor_of("gelsight_mini"))
+    compared = Comparison(real.sensor_of("gelsight_mini"))
     one, again, other = (next(compared.dents(0.7, 1, seed)) for seed in (0, 0, 1))
     assert np.array_equal(one.change, again.change)
     assert one.slopes.shape != other.slopes.shape
     made = Samples.of(one)
     assert made.slopes.shape == (one.where.sum(), 2)
     assert made.features.shape == (one.where.sum(), 5)
+
+
+def test_dots_are_not_smoothed_into_what_is_seen() -> None:
+    shape = (64, 80)
+    change, hidden, where = np.full((*shape, 3), 20.0), circle(shape, (40.0, 30.0), 6.0), circle(shape, (40, 30), 14.0)
+    change[hidden] = -80.0
+    slopes = np.zeros((where.sum(), 2))
+    seen = photographs.without(PictureOfPress(change, where, slopes, slopes), hidden)
+    assert not (seen.where & hidden).any()
+    assert len(seen.slopes) == seen.where.sum() == len(seen.features)
+    assert seen.features[:, :3] * normal_net.COUNTS == pytest.approx(20.0)
+
+
+def test_dots_are_found_in_uneven_light() -> None:
+    y, x = np.mgrid[:240, :320] + 0.5
+    picture = (80 + 40 * np.sin(x / 90) + 20 * np.cos(y / 70))[..., None] * [0.8, 1.0, 1.1]
+    spot = np.hypot(x % 32 - 16, y % 32 - 16) < 6
+    picture[spot] *= 0.4
+    hidden = photographs.dark(picture)
+    assert hidden[spot].all()
+    assert hidden.mean() < 0.35
 
 
 def test_the_summary_tells_the_profile_of_9dtact() -> None:
