@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks import half_edge
 from benchmarks.draws import BALL, OBJECTS, Draw, drawn
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
@@ -29,6 +30,7 @@ ABLATIONS: dict[str, dict[str, bool]] = {  # name: options that are switched off
     "mixed pressure": {"mixed_pressure": False},
 }
 ABLATED_SCENES = {"smoke": 0, "normal": 4, "full": 8}  # solved with each of ABLATIONS
+HALVED_SCENES = {"smoke": 0, "normal": 4, "full": 40}  # also solved on a mesh of half the edge
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.08}"  # the quality of a smoke test
 STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
 MEASURES = {"rate": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
@@ -50,12 +52,11 @@ ABOUT = (
 class Outcome:
     """The outcome of a scene: `status` is one of STATUSES, with a `reason`; the rest is of the solved frames.
 
-    force: on the gel in the last frame [N]; seconds: processor seconds of all frames; iterations, factored: Newton
-    iterations and factorisations, means over the frames; substeps: largest number of a frame; least_J: certified lower
-    bound of the Jacobian in all elements and frames; stable: frames before the first in which a Newton step needed
-    damping, and stable_seconds theirs; slips, stable_slips: frames in which most of the contact slides; error: of the
-    force against short frames, in the worst frame, over the largest force, None if not measured; stable_error: the
-    same in the stable frames.
+    seconds: processor seconds of all frames; iterations, factored: Newton iterations and factorisations, means over the
+    frames; least_J: certified lower bound of the Jacobian in all elements and frames; stable: frames before the first
+    in which a Newton step needed damping, and stable_seconds theirs; unique: frames whose forces are; error: of the
+    force against short frames, in the worst frame, over the largest force, None if not measured; stable_error: the same
+    in the stable frames.
     """
 
     draw: Draw
@@ -63,17 +64,13 @@ class Outcome:
     status: str
     reason: str = ""
     frames: int = 0
-    nodes: int = 0
-    force: float = 0.0
     seconds: float = 0.0
     iterations: float = 0.0
-    substeps: int = 0
     factored: float = 0.0
     least_J: float = math.inf
     stable: int = 0
     stable_seconds: float = 0.0
-    slips: int = 0
-    stable_slips: int = 0
+    unique: int = 0
     error: float | None = None
     stable_error: float | None = None
 
@@ -81,14 +78,6 @@ class Outcome:
     def rate(self) -> float:
         """Processor seconds a frame."""
         return self.seconds / max(1, self.frames)
-
-    def cells(self) -> list[Cell]:
-        """A row of the table of all scenes."""
-        named: list[Cell] = [self.draw.index, self.quality, self.draw.sensor, self.draw.shape, self.status]
-        if not self.frames:
-            return [*named, *[None] * 9]
-        work = (self.rate, self.iterations, self.substeps, self.factored)
-        return [*named, self.frames, self.nodes, self.force, *work, self.least_J, self.error]
 
 
 def measure(
@@ -106,7 +95,6 @@ def measure(
     if not n:
         return Outcome(draw, quality, status, solved.reason)
     stable = next((k for k, state in enumerate(states) if state.damped), n)
-    slips = [_slips(state) for state in states]
     off: list[float | None] = [None, None]
     if compared and status == "ok":
         short = finer(made, FINER)
@@ -118,25 +106,15 @@ def measure(
         status,
         solved.reason,
         n,
-        len(grid.points),
-        float(np.linalg.norm(solved.forces[-1])),
         solved.seconds,
         sum(state.iterations for state in states) / n,
-        max(state.substeps for state in states),
         problem.factored / n,
         min(state.least_J for state in states),
         stable,
         ([0.0, *solved.ends])[stable],
-        sum(slips),
-        sum(slips[:stable]),
+        sum(state.unique for state in states),
         *off,
     )
-
-
-def _slips(state: mechanics.State) -> bool:
-    """Whether more than half of the normal force is at points that slide."""
-    force = state.normal_force
-    return state.sliding is not None and 2 * float(force[state.sliding].sum()) > float(force.sum())
 
 
 def _scene(sets: Sequence[str]) -> Scene:
@@ -187,12 +165,13 @@ def bench(level: Level, say: Say) -> Result:
             name = "ball" if one.draw.index is None else f"{one.draw.index}"
             what = f"{one.quality} {one.draw.sensor} {one.draw.shape}: {one.status}"
             say(f"{name} {what}, {one.rate:.2f} s a frame {one.reason}")
+        halved = list(every(half_edge.compared, draws[: HALVED_SCENES[level]]))
     ball, rough, fine = found[:1], found[1 : len(draws) + 1], found[len(draws) + 1 : whole]
     groups = [(name, some) for every in (rough, fine) for name, some in _kinds(every) if some]
     together = [_summary(name, some) for name, some in [*groups, ("ball", ball)]]
     heads = columns("scenes of", "quality", "scenes: d", *(f"{status}: d" for status in STATUSES))
     heads |= columns("s a frame, mean: .3f", "core-hours a million: .0f")
-    heads |= columns("stable frames: .0%", "of slipping ones: .0%", "s a stable frame, mean: .3f")
+    heads |= columns("stable frames: .0%", "unique frames: .0%", "s a stable frame, mean: .3f")
     heads |= columns(*(f"{head}, p{q}: {form}" for head, form in MEASURES.values() for q in QUANTILES))
     heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
     heads |= columns("force error in stable frames, worst: .2%")
@@ -209,10 +188,9 @@ def bench(level: Level, say: Say) -> Result:
         _groups("By shape", "shape", rough, lambda one: one.draw.shape),
         _groups("By sensor", "sensor", rough, lambda one: one.draw.sensor),
         _failed(found[:whole]),
-        _all_scenes(found[:whole]),
     ]
     if few:
-        tables.insert(3, _ablated(found[whole:], len(few)))
+        tables[3:3] = [_ablated(found[whole:], len(few)), half_edge.table(halved)]
     return Result(ABOUT, tables)
 
 
@@ -237,8 +215,6 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     ended = [one for one in group if one.status == "ok"]
     mean = _mean([one.seconds for one in ended], [one.frames for one in ended])
     calm = _mean([one.stable_seconds for one in ended], [one.stable for one in ended])
-    slips = sum(one.slips for one in ended)
-    kept = sum(one.stable_slips for one in ended) / slips if slips else None
     hours = None if mean is None else mean * 1e6 / 3600
     work = [_quantile(group, name, q) for name in MEASURES for q in QUANTILES]
     least = [one.least_J for one in group if one.frames]
@@ -246,10 +222,10 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     errors = [one.error for one in group if one.error is not None]
     off = [max(errors), float(np.median(errors))] if errors else [None, None]
     frames = sum(one.frames for one in group)
-    stable = sum(one.stable for one in group) / frames if frames else None
+    stable, unique = (sum(getattr(one, what) for one in group) / max(1, frames) for what in ("stable", "unique"))
     before = max((one.stable_error for one in group if one.stable_error is not None), default=None)
     found = [min(least, default=None), folded, len(errors), *off, before]
-    return [what, group[0].quality, len(group), *counts, mean, hours, stable, kept, calm, *work, *found]
+    return [what, group[0].quality, len(group), *counts, mean, hours, stable, unique, calm, *work, *found]
 
 
 def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outcome], str]) -> Table:
@@ -295,9 +271,3 @@ def _failed(found: Sequence[Outcome]) -> Table:
             rows.append([one.draw.index, one.quality, one.draw.sensor, one.draw.shape, one.status, reason])
     note = "`benchmarks.draws.drawn(i)` gives the changes of scene i to the quickstart, as values of `--set`."
     return Table("What failed", columns("scene: d", "quality", "sensor", "shape", "status", "reason"), rows, note)
-
-
-def _all_scenes(found: Sequence[Outcome]) -> Table:
-    heads = columns("scene: d", "quality", "sensor", "shape", "status", "frames: d", "nodes: d", "last force [N]: .4g")
-    heads |= columns("s a frame: .2f", "iterations: .1f", "most substeps: d", "factorisations: .1f", "least J: .3f")
-    return Table("Every scene", heads | columns("force error: .2%"), [one.cells() for one in found])

@@ -33,7 +33,8 @@ MISFITS = {  # rows under /frames/quality, and what they mean
     "unseen_force": "pressure and traction do not show gel that is hidden or outside the picture: {} of the normal"
     " forces",
 }
-UNIQUE = "/frames/quality/unique"
+UNIQUE, RESIDUAL = "/frames/quality/unique", "/frames/quality/residual"
+BALANCED = 1e-3  # largest residual of a frame without a fold, over the force [-]
 FOLDED = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
 NO_CONTACT = f"the indenter {approach.NO_CONTACT}"  # beginning of a bundle's note
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
@@ -292,7 +293,9 @@ def _contact(bundle: Bundle) -> Iterator[str]:
 def _folds(bundle: Bundle) -> Iterator[str]:
     """Frames whose forces may depend on the step size."""
     if UNIQUE in bundle:
-        yield from _say_frames(~bundle[UNIQUE], FOLDED)
+        folded = ~bundle[UNIQUE]
+        off = bundle[RESIDUAL][folded].max(initial=0.0)
+        yield from _say_frames(folded, FOLDED + (f", by {off:.1%} out of balance at most" if off > BALANCED else ""))
 
 
 Rule = Callable[[Bundle], Iterator[str]]

@@ -7,6 +7,7 @@ may be closest to its points, so that a distance takes a few triangles.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -23,6 +24,7 @@ LONGEST = 8.0  # longest mitre over the radius [-]: of an edge of 14 deg
 FLAT = 1e-3  # square of the sine of an angle of faces, below which they are one flat face [-]
 SLIVER = 1e-4  # altitude of a triangle [mm] below which its normal is rounding error, and its neighbours' is taken
 CELLS = np.sqrt(3) / 2  # half the diagonal of a cell over its side
+KEPT = 4  # answers that are kept: of two positions, at the condensed facets and at all
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,10 +46,27 @@ class SharpField(Field):
     triangles: Array
     body: Array
 
+    @cached_property
+    def _latest(self) -> dict[bytes, tuple[Array, Array, Array]]:
+        """The last answers by the bytes of their points, the oldest first."""
+        return {}
+
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        """See Field; read-only. Steps, line searches and checks of contact ask for the same points several times."""
+        p, latest = np.ascontiguousarray(p, float), self._latest
+        key = p.tobytes()
+        answer = latest.pop(key) if key in latest else self._distance(p)
+        if len(latest) == KEPT:
+            del latest[next(iter(latest))]
+        latest[key] = answer
+        return answer
+
+    def _distance(self, p: Array) -> tuple[Array, Array, Array]:
         d, g, H = super().distance(p)
         lists = self.first, self.start, self.near, self.away, self.triangles, self.body
-        correct(np.ascontiguousarray(p, float), self.origin, self.cell, self.radius, self.share, *lists, d, g, H)
+        correct(p, self.origin, self.cell, self.radius, self.share, *lists, d, g, H)
+        for part in (d, g, H):
+            part.flags.writeable = False
         return d, g, H
 
 

@@ -27,7 +27,8 @@ TURNED = 0.3  # change of the indenter's normal at a point that counts as crossi
 def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     """Whether no point is inside the shrunk indenter and no element is inverted, or barriers must be stiffer; whether
     forces balance. If so the load step is recorded."""
-    step, solution, most = now.step, known(now.found), problem.options.residual_max
+    step, solution = now.step, known(now.found)
+    most = problem.options.fold_max if solution.damped else problem.options.residual_max
     assert step is not None
     least_J = least_jacobian(problem.mesh.points, solution.x, problem.mesh.cells)
     now = replace(now, solves=now.solves + 1, steps=now.steps + solution.steps, damped=now.damped + solution.damped)

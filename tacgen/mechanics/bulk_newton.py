@@ -42,7 +42,7 @@ from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import BulkIterate, Found, Linearised, SolveState, Stepped, known
-from tacgen.mechanics.state import History
+from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
@@ -182,11 +182,12 @@ def measure(problem: Problem, now: SolveState) -> Result:
     )  # fmt: skip
     newton = replace(
         newton, at=there, J=J, contact=newton.contact.shrunk(step.inner.contact.contact.offset), residual=residual,
-        path=(*newton.path, there.x) if damping > 0 else newton.path, linear=None, stepped=None,
+        path=(*newton.path, there.x) if damping > 0 or newton.path else (), linear=None, stepped=None,
     )  # fmt: skip
     end, circling = steps_end(problem), step.inner.status is ContactStatus.circling
     still, converged, rests = moved <= end, step.inner.converged, circling and step.inner.off <= end
-    if settles(options, residual, damping, still, converged, rests) and _covered(problem, now.history, newton):
+    folding = in_folds(len(newton.path), now.state)
+    if settles(options, residual, folding, still, converged, rests) and _covered(problem, now.history, newton):
         found = Found.coupled(there.x, newton.contact, newton.steps, newton.path)
         return Outcome.ended, replace(now, newton=newton, found=found)
     rate = newton.rate
@@ -199,16 +200,23 @@ def measure(problem: Problem, now: SolveState) -> Result:
     return Outcome.more, replace(now, newton=replace(newton, rate=rate, damping=damping, new=new))
 
 
-def settles(options: SolverOptions, residual: float, damping: float, still: bool, converged: bool, rests: bool) -> bool:
+def in_folds(steps: int, state: State | None) -> int:
+    """Newton steps in the folds of a frame; 0 where the present load step, with `steps`, has not folded."""
+    return steps + (state.damped if state and steps else 0)
+
+
+def settles(options: SolverOptions, residual: float, folding: int, still: bool, converged: bool, rests: bool) -> bool:
     """Whether a step ends Newton's method: its contact converged and the residual [-] is small, or the last step was
     (`still`) and the residual is half of what a frame may have.
 
     The same is enough where contact goes in circles and its mean gap agrees (`rests`): a point then goes to and fro
     over an edge of the indenter, on which it cannot rest, and a shorter load step meets the same edge.
+
+    After `folding` steps in a fold (see in_folds) the residual may be as large as the error that folds have anyway.
     """
-    most = options.residual_tol
-    if (still or rests) and damping == 0:
-        most = max(most, options.residual_max / 2)
+    most = options.residual_max / 2 if still or rests else options.residual_tol
+    if folding:
+        most = options.fold_tol if folding < options.fold_steps else options.fold_max
     return (converged or rests) and residual <= most
 
 

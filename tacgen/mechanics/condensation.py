@@ -176,7 +176,7 @@ def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tu
     upper = dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0]
     _mirror(upper.T)
     backwards = size - 1 - rows
-    S = upper.T.take(backwards, 0).take(backwards, 1)
+    S = upper.T[np.ix_(backwards, backwards)]  # a third of the time of two calls of take
     S[np.diag_indices(size)] -= shift
     return L[rows], S
 

@@ -25,6 +25,11 @@ class SolverOptions:
     through_folds: bool = True  # damped steps lead through instabilities; without them a frame that needs one fails
     # halvings of a load step before it may be damped: steps that are merely long need no damping in their quarters
     fold_halvings: int = 2
+    # of the contact force: where Newton stops in a fold. The force is then within some 1 % of the equilibrium's, which
+    # itself is not unique
+    fold_tol: float = 1e-2
+    fold_steps: int = 8  # Newton steps in the folds of a frame, after which it ends at `fold_max`
+    fold_max: float = 5e-2  # of the contact force: largest residual in a fold, about the expected error of `draft`
     # load stepping
     predict: bool = True  # Newton starts from the gel moved along with the indenter
     sink: float = 0.8  # of the edge: largest depth of the new pose inside the gel of the last step; deeper is slower

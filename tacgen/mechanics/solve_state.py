@@ -80,7 +80,7 @@ class BulkIterate:
     rate: float = RATE_GUESS
     damping: float = 0.0  # over the stiffness at rest [-]
     steps: int = 0
-    path: tuple[Array, ...] = ()  # x (n, 3) after each step that needed damping
+    path: tuple[Array, ...] = ()  # x (n, 3) after each step, from the first that needed damping on
     linear: Linearised | None = None
     stepped: Stepped | None = None
 
@@ -88,7 +88,7 @@ class BulkIterate:
 @dataclass(frozen=True)
 class Found:
     """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
-    steps, and the positions (n, 3) after each of those that needed damping."""
+    steps, and the positions (n, 3) after each of them from the first that needed damping on."""
 
     x: Array
     contact: CoupledContact
@@ -104,7 +104,7 @@ class Found:
 
     @property
     def damped(self) -> int:
-        """Number of Newton steps that needed damping."""
+        """Newton steps in a fold: those from the first that needed damping on."""
         return len(self.path)
 
 

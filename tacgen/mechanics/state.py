@@ -52,7 +52,7 @@ class State:
     residual: float  # 2-norm of the free nodes' forces, over the contact force
     balance: float  # |indenter force + base reaction| / indenter force
     least_J: float  # certified lower bound of J over all of the gel [-]
-    damped: int = 0  # of the iterations, those that needed damping: the gel was unstable
+    damped: int = 0  # of the iterations, those in a fold: from the first of a load step that needed damping on
     unique: bool = True  # no damped step since the gel was last untouched
     rounded: float = 0.0  # friction at points that crossed a sharp edge in one step, over the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History

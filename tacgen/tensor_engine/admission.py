@@ -25,12 +25,13 @@ Array = np.ndarray
 def admit(b: Batch, rows: list[int]) -> list[Outcome]:
     """Whether no point is inside the shrunk indenter and no cell is inverted, or barriers must be stiffer; whether
     forces balance. If so the load step is recorded."""
-    t, most, outcomes, recorded = b.t, b.options.residual_max, list[Outcome](), list[int]()
+    t, outcomes, recorded = b.t, list[Outcome](), list[int]()
     figures = b.replays(("admit", b.hexes.laws.two_invariants), partial(_figures, b), rows)
     for k, (row, each) in enumerate(zip(rows, figures, strict=True)):
         course, (gap, J, off, unequal, deep, reach, through) = b.courses[row], each
         course.solves, course.steps = course.solves + 1, course.steps + course.newton_steps
-        course.damped += course.newton_damped
+        course.damped += course.newton_folding
+        most = b.options.fold_max if course.newton_folding else b.options.residual_max
         touching, inverted = not gap > 0, not J > 0
         if (touching or inverted) and course.solves < STIFFENINGS:
             t.kappa[row] *= STIFFER if touching else 1.0
@@ -44,7 +45,7 @@ def admit(b: Batch, rows: list[int]) -> list[Outcome]:
             course.failure = NotConverged(Failure.inverted, least_J=J)
             outcomes.append(Outcome.failure)
         elif through:
-            course.failure = NotConverged(Failure.snaps if course.newton_damped else Failure.too_far)
+            course.failure = NotConverged(Failure.snaps if course.newton_folding else Failure.too_far)
             outcomes.append(Outcome.failure)
         elif deep > INSIDE * reach:
             edge = course.problem.edge

@@ -11,7 +11,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.bulk_newton import DAMPING_MAX, MIN_GAIN, ROUNDING, SHORTEST, next_damping, settles, slow
+from tacgen.mechanics.bulk_newton import (
+    DAMPING_MAX,
+    MIN_GAIN,
+    ROUNDING,
+    SHORTEST,
+    in_folds,
+    next_damping,
+    settles,
+    slow,
+)
 from tacgen.mechanics.condensation import more
 from tacgen.mechanics.failures import SQUEEZED, Failure, NotConverged
 from tacgen.mechanics.load_stepping import may_damp
@@ -294,10 +303,14 @@ def _measured(
 ) -> Outcome:  # fmt: skip
     """The outcome for one scene, and its next damping and tangent."""
     damping, before = course.inner_damping, course.residual
-    course.residual, course.newton_damped = residual, course.newton_damped + (damping > 0)
+    course.residual, course.newton_folding = (
+        residual,
+        course.newton_folding + (damping > 0 or course.newton_folding > 0),
+    )
     circling, whole = not converged and steps >= options.max_contact, course.part == 1
     rests, fell = circling and bool(agrees), residual < before
-    if settles(options, residual, damping, bool(still), bool(converged) and whole, rests) and covered:
+    folding = in_folds(course.newton_folding, course.state)
+    if settles(options, residual, folding, bool(still), bool(converged) and whole, rests) and covered:
         course.found = True
         return Outcome.ended
     if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one

@@ -58,7 +58,7 @@ class Course:
     rate: float = RATE_GUESS
     damping: float = 0.0
     newton_steps: int = 0
-    newton_damped: int = 0
+    newton_folding: int = 0  # of newton_steps, those from the first that needed damping on
     # of the step in the making
     inner_damping: float = 0.0
     part_of_step: PartOfStep = PartOfStep.COUPLED

@@ -181,7 +181,7 @@ def start(b: Batch, rows: list[int]) -> list[Outcome]:
         if row in failed:
             course.failure = NotConverged(Failure.too_far)
         course.new, course.residual, course.rate, course.damping = not b.options.keep_tangent, np.inf, RATE_GUESS, 0.0
-        course.newton_steps = course.newton_damped = 0
+        course.newton_steps = course.newton_folding = 0
     return [Outcome.failure if row in failed else Outcome.ready for row in rows]
 
 

@@ -57,6 +57,20 @@ def test_distance_normal_and_curvature_are_the_opened_bodys(name: str) -> None:
         assert bend == pytest.approx(H[near], abs=1e-4 / RADIUS)
 
 
+def test_the_same_points_are_computed_once() -> None:
+    """Others are computed, and the answers, which others hold too, cannot be changed."""
+    found, p = field(sharp.wedge(15)), around(-0.1, 0.5)
+    first = found.distance(p)
+    assert found.distance(p.copy())[0] is first[0]
+    with pytest.raises(ValueError, match="read-only"):
+        first[2][:] = 0.0
+    for shift in (0.01, 0.02, 0.03, 0.04):
+        assert (found.distance(p + shift)[0] != first[0]).any()
+    again = found.distance(p)
+    assert again[0] is not first[0]  # forgotten
+    assert all((a == b).all() for a, b in zip(again, first, strict=True))
+
+
 def test_a_spline_alone_makes_a_tip_recede_by_half_a_cell() -> None:
     """What the exact edges are for."""
     found, tip = field(sharp.wedge(15)), np.array([[0.0, 0.0, 0.0]])

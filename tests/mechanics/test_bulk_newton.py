@@ -1,32 +1,44 @@
 """When a step of the bulk ends Newton's method, and how much the next one is damped."""
 
+import numpy as np
 import pytest
 
-from tacgen.mechanics.bulk_newton import next_damping, settles
+from tacgen.mechanics.bulk_newton import in_folds, next_damping, settles
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.mechanics.options import DEFAULT
+from tacgen.mechanics.state import State
 
 TOLERANCE, HALF = DEFAULT.residual_tol, DEFAULT.residual_max / 2
+IN_FOLDS, LAST = DEFAULT.fold_tol, DEFAULT.fold_steps
 
 
 @pytest.mark.parametrize(
-    ("residual", "damping", "still", "converged", "rests", "expected"),
+    ("residual", "folding", "still", "converged", "rests", "expected"),
     [
-        (0.9 * TOLERANCE, 0.0, False, True, False, True),
-        (0.9 * TOLERANCE, 0.1, False, True, False, True),
-        (0.9 * TOLERANCE, 0.0, True, False, False, False),  # contact stalled
-        (0.9 * HALF, 0.0, False, True, False, False),
-        (0.9 * HALF, 0.0, True, True, False, True),
-        (0.9 * HALF, 0.1, True, True, False, False),
-        (0.9 * HALF, 0.0, False, False, True, True),  # contact goes in circles
-        (0.9 * HALF, 0.1, False, False, True, False),
-        (1.1 * HALF, 0.0, True, False, True, False),
+        (0.9 * TOLERANCE, 0, False, True, False, True),
+        (0.9 * TOLERANCE, 0, True, False, False, False),  # contact stalled
+        (0.9 * HALF, 0, False, True, False, False),
+        (0.9 * HALF, 0, True, True, False, True),
+        (0.9 * HALF, 0, False, False, True, True),  # contact goes in circles
+        (1.1 * HALF, 0, True, False, True, False),
+        (0.9 * IN_FOLDS, 0, True, True, False, False),
+        (0.9 * IN_FOLDS, 1, False, True, False, True),
+        (0.9 * IN_FOLDS, 1, False, False, False, False),
+        (1.1 * IN_FOLDS, LAST - 1, False, True, False, False),
+        (1.1 * IN_FOLDS, LAST, False, True, False, True),
+        (1.1 * DEFAULT.fold_max, 2 * LAST, False, True, False, False),
     ],
 )
 def test_a_step_settles(
-    residual: float, damping: float, still: bool, converged: bool, rests: bool, expected: bool
+    residual: float, folding: int, still: bool, converged: bool, rests: bool, expected: bool
 ) -> None:
-    assert settles(DEFAULT, residual, damping, still, converged, rests) is expected
+    assert settles(DEFAULT, residual, folding, still, converged, rests) is expected
+
+
+def test_steps_in_folds_are_counted_over_the_load_steps_of_a_frame() -> None:
+    rest = np.zeros((1, 3))
+    frame = State(0, np.eye(4), rest, rest, rest, None, None, 5, 1, 0, 0, 0, 0, 0, 0, damped=3)
+    assert [in_folds(2, None), in_folds(2, frame), in_folds(0, frame)] == [2, 5, 0]
 
 
 def test_damping_follows_the_steps() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
-from tacgen.mechanics import NotConverged, Problem, State, mesh, states
+from tacgen.mechanics import DEFAULT, NotConverged, Problem, State, mesh, states
 from tacgen.recipe import scene_of_row
 
 COMMON = ("outputs=[force]", "quality=draft")
@@ -78,11 +78,11 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
 @pytest.mark.parametrize(
     ("sets", "frames", "factored", "frame", "force"),
     [
-        (KEY, 7, 100, 6, -11.7),
-        (BALL, 19, 500, 2, -4.38),
-        (LETTERS, 12, 250, 1, -79.6),
+        (KEY, 7, 60, 6, -11.7),
+        (BALL, 19, 200, 2, -4.38),
+        (LETTERS, 12, 130, 1, -79.6),
         (TURNED_LETTERS, 16, 120, 4, -17.9),
-        (REPLAYED_KEY, 3, 250, 0, -4.88),
+        (REPLAYED_KEY, 3, 200, 0, -4.88),
         (CYLINDER, 16, 150, 2, -2.78),
     ],
     ids=[
@@ -100,7 +100,8 @@ def test_it_ends_with_no_element_inverted(
     problem, found = solved(sets)
     assert len(found) == frames
     assert min(state.least_J for state in found) > 0
-    assert max(state.residual for state in found) < 1e-3
+    assert max(state.residual for state in found if not state.damped) < 1e-3
+    assert max(state.residual for state in found) <= DEFAULT.fold_max
     assert problem.factored < factored
     assert found[frame].traction_force.sum((0, 1))[2] == pytest.approx(force, rel=0.05)
     if "release" in sets[2]:
