@@ -14,13 +14,11 @@ from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.expected_error import FACTOR, FaceGrid
 from tacgen.recipe import scene_of_row
 
-LIMIT_S = 240.0  # longest processor time of a scene on the finer mesh [s]
-EDGE_MM, DHAT_MM = 0.6, 0.05  # of `draft`
+EDGE_MM, DHAT_MM, LIMIT_S = 0.6, 0.05, 240.0  # of `draft`; longest processor time of a scene on the finer mesh [s]
 
 
 class Compared(NamedTuple):
-    """The error [-] of the force in the frame with the largest one, of those before a fold on both meshes, and the
-    error that is told; nan without such frames."""
+    """Error of the largest force before a fold on both meshes, and the error that is told [-]; nan if there is none."""
 
     shape: str
     error: float
