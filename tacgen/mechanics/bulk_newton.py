@@ -214,7 +214,9 @@ def settles(options: SolverOptions, residual: float, folding: int, still: bool, 
 
     After `folding` steps in a fold (see in_folds) the residual may be as large as the error that folds have anyway.
     """
-    most = options.residual_max / 2 if still or rests else options.residual_tol
+    most = options.residual_tol
+    if still or rests:
+        most = max(most, options.residual_max / 2)
     if folding:
         most = options.fold_tol if folding < options.fold_steps else options.fold_max
     return (converged or rests) and residual <= most

@@ -54,7 +54,8 @@ def plain() -> SolverOptions:
 
 def tighter(options: SolverOptions) -> SolverOptions:
     """Options with a tenth of the tolerances."""
-    return replace(options, step_tol=options.step_tol / 10, residual_tol=options.residual_tol / 10)
+    names = "step_tol", "residual_tol", "fold_tol", "fold_max"
+    return replace(options, **{name: getattr(options, name) / 10 for name in names})
 
 
 def short_steps(options: SolverOptions, times: int) -> SolverOptions:

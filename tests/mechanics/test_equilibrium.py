@@ -20,7 +20,7 @@ from tacgen.mechanics.solver import solve
 Array = np.ndarray
 PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.2, 0.0, -0.4), (0.4, 0.1, -0.3)]
 USUAL = SolverOptions()
-TIGHT = replace(USUAL, step_tol=3e-4, residual_tol=1e-6)
+TIGHT = replace(USUAL, step_tol=3e-4, residual_tol=1e-6, fold_tol=1e-6, fold_max=1e-6)
 
 
 def solved(
