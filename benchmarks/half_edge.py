@@ -60,7 +60,7 @@ def table(found: Sequence[Compared]) -> Table:
     heads |= columns("within what is told: .0%", "within twice: .0%")
     note = (
         f"At `draft`, edges of {EDGE_MM:g} mm, against {EDGE_MM / 2:g}: the frame with the largest force before a fold"
-        f" on both. {len(found) - len(known)} of {len(found)} have no such frame. The told error is fitted to"
+        f" on both. {len(found) - len(known)} of {len(found)} have none, or took too long. The told error is fitted to"
         f" within a factor of {FACTOR}; against half the edge some 70 % of it can show."
     )
     return Table("Against half the edge", heads, rows, note)

@@ -54,9 +54,8 @@ class Outcome:
 
     seconds: processor seconds of all frames; iterations, factored: Newton iterations and factorisations, means over the
     frames; least_J: certified lower bound of the Jacobian in all elements and frames; stable: frames before the first
-    in which a Newton step needed damping, and stable_seconds theirs; unique: frames whose forces are; error: of the
-    force against short frames, in the worst frame, over the largest force, None if not measured; stable_error: the same
-    in the stable frames.
+    in a fold; unique: frames whose forces are; error: of the force against short frames, in the worst frame, over the
+    largest force, None if not measured; stable_error: the same in the stable frames.
     """
 
     draw: Draw
@@ -69,7 +68,6 @@ class Outcome:
     factored: float = 0.0
     least_J: float = math.inf
     stable: int = 0
-    stable_seconds: float = 0.0
     unique: int = 0
     error: float | None = None
     stable_error: float | None = None
@@ -111,7 +109,6 @@ def measure(
         problem.factored / n,
         min(state.least_J for state in states),
         stable,
-        ([0.0, *solved.ends])[stable],
         sum(state.unique for state in states),
         *off,
     )
@@ -171,7 +168,7 @@ def bench(level: Level, say: Say) -> Result:
     together = [_summary(name, some) for name, some in [*groups, ("ball", ball)]]
     heads = columns("scenes of", "quality", "scenes: d", *(f"{status}: d" for status in STATUSES))
     heads |= columns("s a frame, mean: .3f", "core-hours a million: .0f")
-    heads |= columns("stable frames: .0%", "unique frames: .0%", "s a stable frame, mean: .3f")
+    heads |= columns("stable frames: .0%", "unique frames: .0%")
     heads |= columns(*(f"{head}, p{q}: {form}" for head, form in MEASURES.values() for q in QUANTILES))
     heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
     heads |= columns("force error in stable frames, worst: .2%")
@@ -214,7 +211,6 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     counts = [sum(one.status == status for one in group) for status in STATUSES]
     ended = [one for one in group if one.status == "ok"]
     mean = _mean([one.seconds for one in ended], [one.frames for one in ended])
-    calm = _mean([one.stable_seconds for one in ended], [one.stable for one in ended])
     hours = None if mean is None else mean * 1e6 / 3600
     work = [_quantile(group, name, q) for name in MEASURES for q in QUANTILES]
     least = [one.least_J for one in group if one.frames]
@@ -225,7 +221,7 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     stable, unique = (sum(getattr(one, what) for one in group) / max(1, frames) for what in ("stable", "unique"))
     before = max((one.stable_error for one in group if one.stable_error is not None), default=None)
     found = [min(least, default=None), folded, len(errors), *off, before]
-    return [what, group[0].quality, len(group), *counts, mean, hours, stable, unique, calm, *work, *found]
+    return [what, group[0].quality, len(group), *counts, mean, hours, stable, unique, *work, *found]
 
 
 def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outcome], str]) -> Table:

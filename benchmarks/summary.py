@@ -60,17 +60,21 @@ def _ordinary(tables: Tables) -> Told:
         parts = [f"{row[status]} {status}" for status in ends if row[status]]
         parts += [f"{row['J <= 0']} with an element inside out"] if row["J <= 0"] else []
         named = (("mean", "mean"), ("median", "p50"), ("90 % quantile", "p90"))
-        each = [(name, row.get(f"s a frame, {what}")) for name, what in named]  # earlier results have no mean
-        seconds = ", ".join(f"{name} {value:.2f}" for name, value in each if value is not None)
-        ended = ", ".join(parts) + (f"; seconds a frame: {seconds}" if row["ok"] else "")
-        if (hours := row.get("core-hours a million")) is not None:
-            ended += f"; a million frames {hours:.0f} core-hours"
+        ended = ", ".join(parts)
+        if row["ok"]:
+            ended += "; seconds a frame: " + ", ".join(
+                f"{name} {row[f's a frame, {what}']:.2f}" for name, what in named
+            )
+            ended += f"; {row['unique frames']:.0%} of the frames unique"
+            ended += f"; a million frames {row['core-hours a million']:.0f} core-hours"
         yield f"{row['scenes']} ordinary scenes at `{row['quality']}`, a core each, solve alone", ended
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
             what = f"force error of long frames, {row['compared']} ordinary scenes"
-            calm = row.get("force error in stable frames, worst", row.get("force error in these, worst"))
+            calm = row["force error in stable frames, worst"]
             told = "" if calm is None else f"; {calm:.1%} before the gel's first instability"
+            for all_ in tables.get("Against half the edge", [])[:1]:
+                told += f"; by the mesh, to half the edge, median {all_['median']:.1%}, told {all_['told, median']:.1%}"
             yield what, f"median {median:.1%}, worst {worst:.1%}{told}"
 
 

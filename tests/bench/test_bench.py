@@ -378,7 +378,7 @@ def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
 def test_figures_of_another_machine_name_it(tmp_path: Path) -> None:
     usual = {"made": {"processor": "Usual", "cores": 2}, "tables": []}
     heads = ["scenes of", "quality", "scenes", "J <= 0", "ok", "compared", *ordinary.STATUSES[1:]]
-    together = {"title": "Together", "columns": heads, "rows": [["ordinary", "draft", 3, 0, 3, 0, 0, 0, 0, 0]]}
+    together = {"title": "Together", "columns": heads, "rows": [["ordinary", "draft", 3, 0, 0, 0, 0, 0, 0, 0]]}
     other = {"made": {"processor": "Other", "cores": 64}, "tables": [together]}
     for name, found in {"mechanics": usual, "pipeline": usual, "ordinary": other}.items():
         (tmp_path / f"{name}.json").write_text(json.dumps(found))

@@ -135,7 +135,7 @@ def test_a_bug_in_one_scene_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -
     def breaks(draw: draws.Draw, quality: str, *how: Any, **more: Any) -> ordinary.Outcome:
         if draw.index == 0:
             raise IndexError("out of bounds")
-        return ordinary.Outcome(draw, quality, "ok", frames=3, seconds=0.3, stable=3, stable_seconds=0.3)
+        return ordinary.Outcome(draw, quality, "ok", frames=3, seconds=0.3, stable=3)
 
     monkeypatch.setattr(ordinary, "measure", breaks)
     found = ordinary.bench("smoke", lambda text: None)
@@ -152,8 +152,8 @@ def test_an_inverted_element_is_listed_though_the_scene_is_ok() -> None:
 
 
 def test_the_mean_is_what_a_set_costs_and_objects_stand_apart() -> None:
-    long = ordinary.Outcome(draws.BALL, "draft", "ok", frames=9, seconds=0.9, stable=9, stable_seconds=0.9)
-    short = replace(long, draw=replace(draws.BALL, shape="key"), frames=1, seconds=2.1, stable=0, stable_seconds=0.0)
+    long = ordinary.Outcome(draws.BALL, "draft", "ok", frames=9, seconds=0.9, stable=9)
+    short = replace(long, draw=replace(draws.BALL, shape="key"), frames=1, seconds=2.1, stable=0)
     late = replace(short, status="out of time", seconds=150.0)
     assert ordinary._mean([long.seconds, short.seconds], [long.frames, short.frames]) == pytest.approx(0.3)
     named = dict(ordinary._kinds([long, short, late]))
