@@ -228,7 +228,7 @@ def test_where_nothing_touches_one_iteration_is_enough() -> None:
     assert max(state.iterations for state in run(s).states) <= 1
 
 
-AT_ONCE = SolverOptions(sink=np.inf, slide=np.inf, slide_sharp=np.inf, fold_halvings=0)
+AT_ONCE = SolverOptions(sink=np.inf, slide=np.inf, slide_sharp=np.inf, fold_halvings=0, fold_tol=2e-4, fold_max=2e-4)
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from tacgen.recipe import scene_of_row
 Array = np.ndarray
 SQUARE = (-3.0, 3.0, -3.0, 3.0)
 EDGE = 0.8
-WHOLE = replace(DEFAULT, slide=np.inf, slide_sharp=np.inf, fold_halvings=0)
+WHOLE = replace(DEFAULT, slide=np.inf, slide_sharp=np.inf, fold_halvings=0, fold_tol=2e-4, fold_max=2e-4)
 PATH = [(0.4 + 0.1 * k, -0.3, -0.3 - 0.025 * k) for k in range(5)]
 
 
