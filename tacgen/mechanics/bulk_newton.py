@@ -187,7 +187,7 @@ def measure(problem: Problem, now: SolveState) -> Result:
     end, circling = steps_end(problem), step.inner.status is ContactStatus.circling
     still, converged, rests = moved <= end, step.inner.converged, circling and step.inner.off <= end
     folding = in_folds(len(newton.path), now.state)
-    if settles(options, residual, folding, still, converged, rests) and _covered(problem, now.history, newton):
+    if settles(options, residual, folding, damping, still, converged, rests) and _covered(problem, now.history, newton):
         found = Found.coupled(there.x, newton.contact, newton.steps, newton.path)
         return Outcome.ended, replace(now, newton=newton, found=found)
     rate = newton.rate
@@ -205,20 +205,23 @@ def in_folds(steps: int, state: State | None) -> int:
     return steps + (state.damped if state and steps else 0)
 
 
-def settles(options: SolverOptions, residual: float, folding: int, still: bool, converged: bool, rests: bool) -> bool:
+def settles(
+    options: SolverOptions, residual: float, folding: int, damping: float, still: bool, converged: bool, rests: bool
+) -> bool:
     """Whether a step ends Newton's method: its contact converged and the residual [-] is small, or the last step was
     (`still`) and the residual is half of what a frame may have.
 
     The same is enough where contact goes in circles and its mean gap agrees (`rests`): a point then goes to and fro
     over an edge of the indenter, on which it cannot rest, and a shorter load step meets the same edge.
 
-    After `folding` steps in a fold (see in_folds) the residual may be as large as the error that folds have anyway.
+    After `folding` steps in a fold (see in_folds) the residual may be as large as the error that folds have anyway; a
+    step that needs no damping is about to converge.
     """
     most = options.residual_tol
     if still or rests:
         most = max(most, options.residual_max / 2)
     if folding:
-        most = options.fold_tol if folding < options.fold_steps else options.fold_max
+        most = options.fold_max if folding >= options.fold_steps and damping > 0 else options.fold_tol
     return (converged or rests) and residual <= most
 
 

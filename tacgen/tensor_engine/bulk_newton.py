@@ -310,7 +310,7 @@ def _measured(
     circling, whole = not converged and steps >= options.max_contact, course.part == 1
     rests, fell = circling and bool(agrees), residual < before
     folding = in_folds(course.newton_folding, course.state)
-    if settles(options, residual, folding, bool(still), bool(converged) and whole, rests) and covered:
+    if settles(options, residual, folding, damping, bool(still), bool(converged) and whole, rests) and covered:
         course.found = True
         return Outcome.ended
     if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one

@@ -13,26 +13,27 @@ IN_FOLDS, LAST = DEFAULT.fold_tol, DEFAULT.fold_steps
 
 
 @pytest.mark.parametrize(
-    ("residual", "folding", "still", "converged", "rests", "expected"),
+    ("residual", "folding", "damping", "still", "converged", "rests", "expected"),
     [
-        (0.9 * TOLERANCE, 0, False, True, False, True),
-        (0.9 * TOLERANCE, 0, True, False, False, False),  # contact stalled
-        (0.9 * HALF, 0, False, True, False, False),
-        (0.9 * HALF, 0, True, True, False, True),
-        (0.9 * HALF, 0, False, False, True, True),  # contact goes in circles
-        (1.1 * HALF, 0, True, False, True, False),
-        (0.9 * IN_FOLDS, 0, True, True, False, False),
-        (0.9 * IN_FOLDS, 1, False, True, False, True),
-        (0.9 * IN_FOLDS, 1, False, False, False, False),
-        (1.1 * IN_FOLDS, LAST - 1, False, True, False, False),
-        (1.1 * IN_FOLDS, LAST, False, True, False, True),
-        (1.1 * DEFAULT.fold_max, 2 * LAST, False, True, False, False),
+        (0.9 * TOLERANCE, 0, 0.0, False, True, False, True),
+        (0.9 * TOLERANCE, 0, 0.0, True, False, False, False),  # contact stalled
+        (0.9 * HALF, 0, 0.0, False, True, False, False),
+        (0.9 * HALF, 0, 0.0, True, True, False, True),
+        (0.9 * HALF, 0, 0.0, False, False, True, True),  # contact goes in circles
+        (1.1 * HALF, 0, 0.0, True, False, True, False),
+        (0.9 * IN_FOLDS, 0, 0.0, True, True, False, False),
+        (0.9 * IN_FOLDS, 1, 0.1, False, True, False, True),
+        (0.9 * IN_FOLDS, 1, 0.1, False, False, False, False),
+        (1.1 * IN_FOLDS, LAST - 1, 0.1, False, True, False, False),
+        (1.1 * IN_FOLDS, LAST, 0.1, False, True, False, True),
+        (1.1 * IN_FOLDS, LAST, 0.0, False, True, False, False),  # about to converge
+        (1.1 * DEFAULT.fold_max, 2 * LAST, 0.1, False, True, False, False),
     ],
 )
 def test_a_step_settles(
-    residual: float, folding: int, still: bool, converged: bool, rests: bool, expected: bool
+    residual: float, folding: int, damping: float, still: bool, converged: bool, rests: bool, expected: bool
 ) -> None:
-    assert settles(DEFAULT, residual, folding, still, converged, rests) is expected
+    assert settles(DEFAULT, residual, folding, damping, still, converged, rests) is expected
 
 
 def test_steps_in_folds_are_counted_over_the_load_steps_of_a_frame() -> None:
