@@ -19,6 +19,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import plan
 from tacgen.report import dataset_card, dataset_summary
 
+OUT_OF_BALANCE = 0.023  # of the force, in a frame that folds
 ROUGH = f"""{BALL}outputs: [force]
 quality: {{edge_mm: 1.2, dhat_mm: 0.15}}
 contact: {{friction: 1.0}}
@@ -42,7 +43,8 @@ def folding(monkeypatch: pytest.MonkeyPatch) -> None:
             if state.index == 1 and not problem.options.through_folds:
                 raise mechanics.NotConverged(mechanics.Failure.folds)
             folded, touched = state.index == 1 or (folded and touched), bool(state.normal_force.any())
-            yield replace(state, damped=int(state.index == 1), unique=not folded)
+            residual = OUT_OF_BALANCE if state.index == 1 else state.residual
+            yield replace(state, damped=int(state.index == 1), unique=not folded, residual=residual)
 
     monkeypatch.setattr(mechanics, "states", some)
 
@@ -67,6 +69,7 @@ def test_kept_frames_are_marked_from_the_fold_on(tmp_path: Path) -> None:
     assert frames.unique.tolist() == [True, False, False, False, True], "untouched, the gel is as it was"
     (note,) = [finding.message for finding in check(frames.bundle.path) if FOLDED in finding.message]
     assert "frames 1, 2, 3" in note
+    assert "by 2.3% out of balance at most" in note
 
 
 @pytest.mark.usefixtures("folding")
