@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
-AT_1_MM, EDGE_POWER, WIDTH_POWER = 0.110, 1.8, -0.45  # fitted by scripts/edge_law.py to 45 ordinary scenes
+AT_1_MM, EDGE_POWER, WIDTH_POWER = 0.110, 1.8, -0.45  # fitted to 45 scenes by a script, last in f8101efd
 AT_SHARP = 0.2  # error over edge / size of a contact at edges sharper than the mesh [-], by benchmarks/sharp.py
 SHARP = 1.5  # radius over the element edge, below which it is such an edge; above, the error falls as 1 / radius [-]
 FACTOR = 2  # within which most measured errors are: 77 % of 75 errors of 15 scenes that the fit has not seen
