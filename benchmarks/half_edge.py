@@ -1,12 +1,13 @@
 """Forces of ordinary scenes before any fold against those on a mesh of half the edge, beside the error that is told."""
 
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.draws import Draw
-from benchmarks.reference_runs import row_of, solve_frames
+from benchmarks.reference_runs import forces_of, row_of, solve_frames
 from benchmarks.results_page import Cell, Table, columns
 from tacgen import mechanics
 from tacgen.errors import UserError
@@ -34,14 +35,14 @@ def compared(draw: Draw) -> Compared:
             row = row_of(("outputs=[force]", f"sensor={draw.sensor}", *draw.sets, quality))
             made = presolve.presolved(scene_of_row.build(row))
             states = solve_frames(made, mechanics.Problem.of(made, mesh.of(made)), LIMIT_S).states
-            unique = [state for state in states if state.unique][: len(found) or None]
+            unique = list(takewhile(lambda state: state.unique, states))[: len(found) or None]
             if not unique:
                 return Compared(draw.shape, np.nan, np.nan)
             if half == 1:
                 found, scene = unique, made
     except UserError:
         return Compared(draw.shape, np.nan, np.nan)
-    force, finer = (np.array([one.traction_force.sum((0, 1)) for one in some]) for some in (found, unique))
+    force, finer = forces_of(found), forces_of(unique)
     k = int(np.linalg.norm(finer, axis=1).argmax())
     told = FaceGrid.of(scene.gel).error(scene.shape, scene.poses[k], scene.edge)
     return Compared(draw.shape, float(np.linalg.norm(force[k] - finer[k]) / np.linalg.norm(finer[k])), told)

@@ -147,14 +147,13 @@ def bench(level: Level, say: Say) -> Result:
     """The ball, ordinary scenes at draft and, at level full, some at default."""
     draws = [drawn(i) for i in range(SCENES[level])]
     quality = SMOKE if level == "smoke" else "draft"
-    plain = mechanics.DEFAULT
     jobs = [
-        (BALL, quality, True, plain),
-        *((draw, quality, i % COMPARED == 0, plain) for i, draw in enumerate(draws)),
+        (BALL, quality, True, mechanics.DEFAULT),
+        *((draw, quality, i % COMPARED == 0, mechanics.DEFAULT) for i, draw in enumerate(draws)),
     ]
-    jobs += [(draw, "default", False, plain) for draw in draws[:DEFAULT_SCENES] if level == "full"]
+    jobs += [(draw, "default", False, mechanics.DEFAULT) for draw in draws[:DEFAULT_SCENES] if level == "full"]
     whole, few = len(jobs), draws[: ABLATED_SCENES[level]]
-    jobs += [(draw, quality, False, replace(plain, **off)) for off in ABLATIONS.values() for draw in few]
+    jobs += [(draw, quality, False, replace(mechanics.DEFAULT, **off)) for off in ABLATIONS.values() for draw in few]
     found = list[Outcome]()
     with cores(level) as every:
         for one in every(_job, jobs):

@@ -18,7 +18,8 @@ from tacgen.errors import UserError
 from tacgen.recipe import approach
 from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parents_first, parse_path, put
 
-MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
+MAX_IMBALANCE = 1e-3  # largest force imbalance, and residual, over the contact force [-]
+IMBALANCE_IN_FOLD = 5e-2  # the same in a frame with damped steps, which ends before it is in balance [-]
 MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
 LIGHT_CONTACT = 0.01  # smallest pressure scale of a frame, over the scene's peak pressure [-]
 COULOMB_EXCESS = 1e-3  # over friction x peak pressure [-]: four times the rounding of both maps to 13 bits
@@ -33,8 +34,7 @@ MISFITS = {  # rows under /frames/quality, and what they mean
     "unseen_force": "pressure and traction do not show gel that is hidden or outside the picture: {} of the normal"
     " forces",
 }
-UNIQUE, RESIDUAL = "/frames/quality/unique", "/frames/quality/residual"
-BALANCED = 1e-3  # largest residual of a frame without a fold, over the force [-]
+UNIQUE, RESIDUAL, DAMPED = (f"/frames/quality/{name}" for name in ("unique", "residual", "damped_steps"))
 FOLDED = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
 NO_CONTACT = f"the indenter {approach.NO_CONTACT}"  # beginning of a bundle's note
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
@@ -179,7 +179,9 @@ def _quality(bundle: Bundle) -> Iterator[str]:
     """The quality figures that the solver recorded."""
     if "/frames/quality/force_balance" in bundle:
         balance = bundle["/frames/quality/force_balance"]
-        yield from _say_frames(balance > MAX_IMBALANCE, "forces do not balance:", balance, "of the force")
+        folding = bundle[DAMPED] > 0 if DAMPED in bundle else np.zeros(len(balance), bool)
+        most = np.where(folding, IMBALANCE_IN_FOLD, MAX_IMBALANCE)
+        yield from _say_frames(balance > most, "forces do not balance:", balance, "of the force")
     if "/frames/quality/min_gap_mm" in bundle:
         gap = bundle["/frames/quality/min_gap_mm"]
         yield from _say_frames(gap <= 0, "the gel is inside the indenter: smallest gap", gap, "mm")
@@ -295,7 +297,9 @@ def _folds(bundle: Bundle) -> Iterator[str]:
     if UNIQUE in bundle:
         folded = ~bundle[UNIQUE]
         off = bundle[RESIDUAL][folded].max(initial=0.0)
-        yield from _say_frames(folded, FOLDED + (f", by {off:.1%} out of balance at most" if off > BALANCED else ""))
+        yield from _say_frames(
+            folded, FOLDED + (f", by {off:.1%} out of balance at most" if off > MAX_IMBALANCE else "")
+        )
 
 
 Rule = Callable[[Bundle], Iterator[str]]

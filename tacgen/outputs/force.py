@@ -83,7 +83,9 @@ OUTPUT = Output(
             "share of friction at points that crossed a sharp edge in one step; above .05 forces depend on the"
             " step size",
         ),
-        "/frames/quality/force_balance": Entry("<f8", "N", "1", "norm of force + base reaction, over force"),
+        "/frames/quality/force_balance": Entry(
+            "<f8", "N", "1", "norm of force + base reaction, over force; bounds as of residual"
+        ),
         "/frames/quality/residual": Entry(
             "<f8",
             "N",
