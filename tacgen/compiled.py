@@ -30,7 +30,8 @@ from numba.core.serialize import dumps
 
 from tacgen import array_cache, atomic_file
 
-PACKAGES = ("fem", "optics", "geometry", "mechanics")  # with compiled functions; they use no other package's constants
+# with compiled functions; they use no other package's constants
+PACKAGES = ("physics", "fem", "optics", "geometry", "mechanics")
 WAIT_S = 0.1  # interval at which a waiting process checks whether another has finished [s]
 F = TypeVar("F", bound=Callable[..., Any])
 pickled: Callable[[Any], bytes] = dumps
@@ -171,6 +172,16 @@ event.register("numba:compile", _watch)  # type: ignore[no-untyped-call]
 def seconds() -> float:
     """Time that this process has spent on compiling, or on waiting for a process that compiles [s]."""
     return _watch.seconds
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """A block that compiles by another compiler than Numba; its time counts in `seconds`."""
+    _watch.on_start()
+    try:
+        yield
+    finally:
+        _watch.on_end()
 
 
 @contextmanager

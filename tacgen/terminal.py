@@ -41,3 +41,17 @@ def say(text: str, *, err: bool = False) -> None:
     stream = sys.stderr if err else sys.stdout
     with dropping(stream):
         print(printable(text), file=stream, flush=True)
+
+
+@contextmanager
+def silent_errors() -> Iterator[None]:
+    """Drop what libraries, also those in C, print to stderr in this block."""
+    sys.stderr.flush()
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)

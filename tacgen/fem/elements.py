@@ -1,8 +1,13 @@
 """Element tables: connectivity, shape-function gradients and weights at the integration points."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from tacgen.physics.cells import Cells
 
 Array = np.ndarray
 
@@ -42,6 +47,13 @@ class Elements:
     weights: Array
     pointwise: float
     shape: Array
+
+    @cached_property
+    def cells(self) -> "Cells":
+        """These elements as the kernels need them."""
+        from tacgen.physics.cells import Cells
+
+        return Cells(self.conn, self.gradients, self.weights)
 
 
 def elements(points: Array, conn: Array) -> Elements:
@@ -135,14 +147,6 @@ def grid_points(nodes: int) -> tuple[Array, Array]:
     corners = np.eye(4)
     N, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:nodes], nodes)
     return N, dL[..., 1:] - dL[..., :1]
-
-
-def dense_points(points: Array, elements: Elements) -> Elements:
-    """Elements whose integration points are `grid_points`, all of equal weight."""
-    N, dN = grid_points(elements.conn.shape[1])
-    gradients, _ = _mapped(points, elements.conn, dN)
-    weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)
-    return Elements(elements.conn, gradients, weights, np.inf, N)
 
 
 def facet_points(nodes: int, along: int = 2) -> tuple[Array, Array, Array]:

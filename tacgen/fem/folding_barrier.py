@@ -10,15 +10,17 @@ mappings", and Smith & Schaefer (2015), "Bijective parameterization with free bo
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.elasticity import Elastic, Point
-from tacgen.fem.elements import Elements, dense_points, grid_points
-from tacgen.fem.materials import Derivatives
+from tacgen.fem.elements import Elements, grid_points, jacobians
 from tacgen.fem.potential import Projection
+
+if TYPE_CHECKING:
+    from tacgen.physics.cells import Folds
 
 Array = np.ndarray
 STIFFNESS = 4.0  # over the shear modulus [-]: at 1 hexes still invert between points, at 10 Newton steps are short
@@ -26,81 +28,58 @@ J0 = 0.6  # J below which the barrier acts; without inversion J stays near 1 in 
 
 
 @dataclass(frozen=True)
-class ClampedLog:
-    """U(J) = -mu (1 - J/J0)^2 ln(J/J0) for J < J0, 0 above, C2 at J0; a materials.Law.
-
-    mu: STIFFNESS times the shear modulus [MPa].
-    """
-
-    mu: float
-
-    @property
-    def kappa(self) -> float:
-        return self.mu
-
-    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
-        zero = np.zeros_like(J)
-        return Derivatives(zero, np.stack([zero] * 3, -1), np.stack([zero] * 6, -1))
-
-    def vol(self, J: Array) -> tuple[Array, Array, Array]:
-        s = np.minimum(J / J0, 1.0)
-        ln, r = np.log(s), 1 - s
-        first, second = 2 * r * ln - r**2 / s, -2 * ln + 4 * r / s + (r / s) ** 2
-        return -self.mu * r**2 * ln, self.mu / J0 * first, self.mu / J0**2 * second
-
-
-@dataclass(frozen=True)
 class FoldingPoint:
-    """The elements that have a point with J < J0, and their state; None if there are none."""
+    """The barrier at positions x (n, 3): the cells (k,) that have a point with J < J0, and their energy [N mm]."""
 
-    elastic: Elastic | None
-    point: Point | None
-
-    @property
-    def energy(self) -> float:
-        """[N mm]"""
-        return 0.0 if self.point is None else self.point.energy
+    barrier: "FoldingBarrier"
+    x: Array
+    cells: Array
+    energy: float
 
     def add_forces(self, out: Array) -> None:
         """Add dE/dx to out (n, 3) [N]."""
-        if self.elastic is not None and self.point is not None:
-            out += self.elastic.forces(self.point, len(out))
+        if self.cells.size:
+            np.add.at(out, self.barrier.conn[self.cells], self.barrier.folds.states(self.x, self.cells, forces=True)[1])
 
     def add_tangent(self, data: Array, projection: Projection) -> None:
         """Add d2E/dx2 to the entries of the Pattern."""
-        if self.elastic is not None and self.point is not None:
-            self.elastic.add_tangent(self.point, data, projection)
+        if self.cells.size:
+            self.barrier.folds.add_tangent(self.x, self.cells, int(projection), self.barrier.slots, data)
 
 
 @dataclass(frozen=True)
 class FoldingBarrier:
-    """The barrier on elements of one law; fits potential.Potential."""
+    """The barrier on elements of one law; fits potential.Potential.
 
-    elements: Elements  # with dense_points as integration points
+    conn (e, a); slots as in elasticity.Elastic; rest (e, q): det(dX/dxi) at `grid_points`; volume (e,) [mm^3].
+    """
+
+    conn: Array
     slots: Array
-    mu: float
-    dN: Array  # (a, 3, q), in the element's own coordinates
-    rest: Array  # (e, q) det(dX/dxi)
+    stiffness: float  # STIFFNESS times the shear modulus [MPa]
+    rest: Array
+    volume: Array
 
     @classmethod
     def on(cls, pattern: Pattern, points: Array, elements: Elements, mu: float) -> "FoldingBarrier":
-        dN = grid_points(elements.conn.shape[1])[1]
-        rest = np.linalg.det(np.einsum("qaj,eai->eqij", dN, points[elements.conn]))
-        dense, slots = dense_points(points, elements), pattern.slots(elements.conn)
-        return cls(dense, slots, STIFFNESS * mu, np.ascontiguousarray(dN.transpose(1, 2, 0)), rest)
+        rest = np.linalg.det(jacobians(points, elements.conn, grid_points(elements.conn.shape[1])[1]))
+        return cls(elements.conn, pattern.slots(elements.conn), STIFFNESS * mu, rest, elements.weights.sum(1))
 
     def stiffened(self, times: float) -> "FoldingBarrier":
         """This barrier with `times` its stiffness."""
-        return replace(self, mu=times * self.mu)
+        return replace(self, stiffness=times * self.stiffness)
+
+    @cached_property
+    def folds(self) -> "Folds":
+        from tacgen.physics.cells import Folds
+
+        dN = grid_points(self.conn.shape[1])[1]
+        return Folds(self.conn, dN, self.rest, self.stiffness * self.volume / len(dN))
 
     def evaluate(self, x: Array) -> FoldingPoint:
-        e = self.elements
-        below = np.flatnonzero(assembly.least_J(x, e.conn, self.dN, self.rest) < J0)
-        if not below.size:
-            return FoldingPoint(None, None)
-        some = Elements(e.conn[below], e.gradients[below], e.weights[below], e.pointwise, e.shape)
-        part = Elastic(some, ClampedLog(self.mu), self.slots[below])
-        return FoldingPoint(part, part.evaluate(x))
+        below = np.flatnonzero(self.folds.lowest(x) < J0)
+        energy = float(self.folds.states(x, below, forces=False)[0].sum()) if below.size else 0.0
+        return FoldingPoint(self, x, below, energy)
 
     def value(self, x: Array) -> float:
         return self.evaluate(x).energy

@@ -1,10 +1,4 @@
-"""Hyperelastic laws as functions of invariants, so that one element kernel serves all laws.
-
-    W(F) = w(I1, I2, J) + U(J),    I1 = F:F,    I2 = (I1^2 - tr(C^2))/2,    J = det F
-
-`iso` gives w with its first and second derivatives; `vol` gives U, U', U''. Elements with mean dilatation evaluate U
-at the mean J of the element (Q1P0), others at each point. Arrays have the shape of the invariants. W is 0 at rest.
-"""
+"""Hyperelastic laws by name: their coefficients in the formula of physics.laws, and their moduli at rest."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,17 +8,8 @@ import numpy as np
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
-class Derivatives:
-    """w [MPa], first derivatives (..., 3) and second (..., 6: 11 22 33 12 13 23) in (I1, I2, J)."""
-
-    value: Array
-    first: Array
-    second: Array
-
-
 class Law(Protocol):
-    """A hyperelastic law in invariants."""
+    """A hyperelastic law."""
 
     @property
     def mu(self) -> float:
@@ -34,34 +19,29 @@ class Law(Protocol):
     def kappa(self) -> float:
         """Bulk modulus at rest [MPa]."""
 
-    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives: ...
+    @property
+    def coefficients(self) -> Array:
+        """physics.laws.Coefficients (9,)."""
 
-    def vol(self, J: Array) -> tuple[Array, Array, Array]: ...
 
-
-def _bulk(kappa: float, J: Array) -> tuple[Array, Array, Array]:
-    """U = kappa/2 [(J^2 - 1)/2 - ln J], Simo & Taylor (1982); written in J - 1 to avoid cancellation."""
-    e = J - 1
-    return kappa / 2 * (e + e**2 / 2 - np.log1p(e)), kappa / 2 * (J - 1 / J), kappa / 2 * (1 + 1 / J**2)
+def polynomial(
+    *, c10: float = 0.0, c01: float = 0.0, c20: float = 0.0, c30: float = 0.0, raw: float = 0.0, kappa: float = 0.0,
+    lam: float = 0.0, slope: float = 0.0,
+) -> Array:  # fmt: skip
+    """Coefficients (9,) [MPa] of the formula of the shipped laws, see physics.laws."""
+    return np.array([c10, c01, c20, c30, raw, kappa, lam, slope, 0.0])
 
 
 @dataclass(frozen=True)
 class NeoHooke:
-    """Isochoric neo-Hookean, w = mu/2 (J^-2/3 I1 - 3), Bonet & Wood (2008), Eq. 6.55."""
+    """Isochoric neo-Hookean, w = mu/2 (J^-2/3 I1 - 3), Bonet & Wood (2008), Eq. 6.55; U of Simo & Taylor (1982)."""
 
     mu: float  # shear modulus [MPa]
     kappa: float  # bulk modulus [MPa]
 
-    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
-        a = J ** (-2 / 3)
-        zero = np.zeros_like(J)
-        first = [a, zero, -2 / 3 * a / J * I1]
-        second = [zero, zero, 10 / 9 * a / J**2 * I1, zero, -2 / 3 * a / J, zero]
-        half = self.mu / 2
-        return Derivatives(half * (a * I1 - 3), half * np.stack(first, -1), half * np.stack(second, -1))
-
-    def vol(self, J: Array) -> tuple[Array, Array, Array]:
-        return _bulk(self.kappa, J)
+    @property
+    def coefficients(self) -> Array:
+        return polynomial(c10=self.mu / 2, kappa=self.kappa)
 
 
 @dataclass(frozen=True)
@@ -76,16 +56,9 @@ class MooneyRivlin:
     def mu(self) -> float:
         return 2 * (self.c10 + self.c01)
 
-    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
-        a, b = self.c10 * J ** (-2 / 3), self.c01 * J ** (-4 / 3)
-        zero = np.zeros_like(J)
-        value = a * I1 + b * I2 - 3 * (self.c10 + self.c01)
-        first = [a, b, (-2 / 3 * a * I1 - 4 / 3 * b * I2) / J]
-        second = [zero, zero, (10 / 9 * a * I1 + 28 / 9 * b * I2) / J**2, zero, -2 / 3 * a / J, -4 / 3 * b / J]
-        return Derivatives(value, np.stack(first, -1), np.stack(second, -1))
-
-    def vol(self, J: Array) -> tuple[Array, Array, Array]:
-        return _bulk(self.kappa, J)
+    @property
+    def coefficients(self) -> Array:
+        return polynomial(c10=self.c10, c01=self.c01, kappa=self.kappa)
 
 
 @dataclass(frozen=True)
@@ -102,21 +75,9 @@ class Yeoh:
     def mu(self) -> float:
         return 2 * self.c10
 
-    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
-        a = J ** (-2 / 3)
-        y = a * I1 - 3
-        w = ((self.c30 * y + self.c20) * y + self.c10) * y
-        dw = (3 * self.c30 * y + 2 * self.c20) * y + self.c10
-        ddw = 6 * self.c30 * y + 2 * self.c20
-        zero = np.zeros_like(J)
-        y1, y3 = a, -2 / 3 * a / J * I1  # dy/dI1, dy/dJ
-        y13, y33 = -2 / 3 * a / J, 10 / 9 * a / J**2 * I1
-        first = [dw * y1, zero, dw * y3]
-        second = [ddw * y1**2, zero, ddw * y3**2 + dw * y33, zero, ddw * y1 * y3 + dw * y13, zero]
-        return Derivatives(w, np.stack(first, -1), np.stack(second, -1))
-
-    def vol(self, J: Array) -> tuple[Array, Array, Array]:
-        return _bulk(self.kappa, J)
+    @property
+    def coefficients(self) -> Array:
+        return polynomial(c10=self.c10, c20=self.c20, c30=self.c30, kappa=self.kappa)
 
 
 @dataclass(frozen=True)
@@ -135,17 +96,9 @@ class StableNeoHooke:
     def kappa(self) -> float:
         return self.lam - self.mu / 3
 
-    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
-        zero = np.zeros_like(J)
-        half = zero + self.mu / 2
-        return Derivatives(half * (I1 - 3), np.stack([half, zero, zero], -1), np.stack([zero] * 6, -1))
-
-    def vol(self, J: Array) -> tuple[Array, Array, Array]:
-        return (
-            self.lam / 2 * (J - 1) ** 2 - self.mu * (J - 1),
-            self.lam * (J - 1) - self.mu,
-            self.lam + np.zeros_like(J),
-        )
+    @property
+    def coefficients(self) -> Array:
+        return polynomial(raw=self.mu / 2, lam=self.lam, slope=self.mu)
 
 
 @dataclass(frozen=True)
@@ -163,12 +116,10 @@ class Stiffened:
     def kappa(self) -> float:
         return self.law.kappa
 
-    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
-        w = self.law.iso(I1, I2, J)
-        return Derivatives(self.times * w.value, self.times * w.first, self.times * w.second)
-
-    def vol(self, J: Array) -> tuple[Array, Array, Array]:
-        return self.law.vol(J)
+    @property
+    def coefficients(self) -> Array:
+        isochoric = [*[self.times] * 5, 1.0, 1.0, 1.0, 1.0]
+        return self.law.coefficients * isochoric
 
 
 # An example of each law, all with mu = 0.05 MPa and kappa = 0.4 MPa at rest, for tests.

@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.fem import assembly
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.materials import Stiffened
 
@@ -70,10 +69,6 @@ class Viscoelastic:
         return np.exp(-r), -np.expm1(-r) / r
 
     def _isochoric(self, x: Array) -> Array:
-        """s (e, q, 3, 3) [MPa]: P = 2 w1 F + 2 w2 (I1 F - F C) + w3 cof F, and s = J^2/3 F^-1 P."""
-        F = assembly.deformation(x, self.elastic.elements.conn, self.elastic.elements.gradients)
-        I1, I2, J = assembly.invariants(F)
-        C = F.swapaxes(-1, -2) @ F
-        w1, w2, w3 = np.moveaxis(self.elastic.law.iso(I1, I2, J).first, -1, 0)[..., None, None]
-        S = 2 * (w1 + w2 * I1[..., None, None]) * np.eye(3) - 2 * w2 * C + w3 * J[..., None, None] * np.linalg.inv(C)
-        return np.asarray(J[..., None, None] ** (2 / 3) * S)
+        """s = J^2/3 F^-1 P (e, q, 3, 3) [MPa], where P is the isochoric stress."""
+        F, J, P = self.elastic.isochoric(x)
+        return np.asarray(J[..., None, None] ** (2 / 3) * np.linalg.solve(F, P))

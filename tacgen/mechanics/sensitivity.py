@@ -159,7 +159,7 @@ class Sensitivity:
         difference of the bulk's forces."""
         problem, x, slopes = self._problem, self._before.x, []
         far = TINY * problem.edge / max(float(np.abs(u).max()), 1e-300)
-        folds = any(barrier.evaluate(x).point is not None for barrier in problem.folding)
+        folds = any(barrier.evaluate(x).cells.size for barrier in problem.folding)
 
         def times(laws: Sequence[Law], x: Array) -> Array:
             elastic = tuple(replace(part, law=law) for part, law in zip(problem.elastic, laws, strict=True))

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.fem import assembly
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import facet_areas, facet_points
 from tacgen.fem.stress_recovery import FULL, Recovery
@@ -90,9 +89,7 @@ class Stresses:
 def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
     """Element means of the Cauchy stress over the volume now (e, 6), and of the nominal stress P over that at rest
     (e, 9) [MPa]."""
-    at = elastic.evaluate(x)
-    sigma, volume = elastic.cauchy(at)
-    mean, P = assembly.mean_stress(sigma, at.F, volume, elastic.elements.weights)
+    mean, P = elastic.mean_stress(elastic.evaluate(x))
     return np.stack([mean[:, i, j] for i, j in VOIGT], -1), P.reshape(-1, 9)
 
 

@@ -26,7 +26,6 @@ from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws
 from tacgen.tensor_engine.reduction import NOWHERE
 from tacgen.tensor_engine.replay import Replays
-from tacgen.tensor_engine.scope import numbers
 from tacgen.tensor_engine.shapes import Shapes
 
 Array = np.ndarray
@@ -167,16 +166,16 @@ class Batch:
         contacts = [p.contact for p in problems]
         q = contacts[0].faces.areas.shape[1]
         exists, areas = np.zeros((B, e), bool), np.zeros((B, f, q))
-        table, moduli = np.zeros((B, e, 8)), np.ones((B, e))
+        table, moduli = np.zeros((B, e, 9)), np.ones((B, e))
         table[..., 0] = table[..., 5] = 1.0  # any law for void cells
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
             exists[k, place.cells], areas[k, place.facets] = True, contacts[k].faces.areas
-            laws = [numbers(part.law) for part in problem.elastic]
+            laws = [part.law.coefficients for part in problem.elastic]
             table[k, place.cells] = np.array(laws)[problem.mesh.layer]
             moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
         nodes = number([place.points for place in places])
         there = torch.as_tensor(exists, device=device)
-        hexes = Hexes.on(topology, nodes, there, Laws.of(number(np.moveaxis(table, -1, 0)[..., None])))
+        hexes = Hexes.on(topology, nodes, there, Laws.of(number(table)))
         folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))
         used, free = torch.zeros(nodes.shape[:2], dtype=torch.bool), torch.ones(topology.nodes, dtype=torch.bool)
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
@@ -294,18 +293,22 @@ class Batch:
         """Numbers of slots as an index."""
         return index_of(rows, self.X.device)
 
+    def barriers(self, s: Tensor) -> FoldingBarriers:
+        """The barrier against inversion in scenes s, stiffened where cells came near to it."""
+        return self.folding.stiffened(self.t.folds).rows(s)
+
     def folded(self, s: Tensor, x: Tensor) -> Folding:
         """The barrier against inversion in scenes s at x (s, n, 3)."""
-        return self.folding.rows(s).evaluate(x, self.t.folds)
+        return self.barriers(s).evaluate(x)
 
     def energy(self, s: Tensor, x: Tensor) -> Tensor:
         """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""
-        return self.hexes.rows(s).energy(x) + self.folding.rows(s).energy(x, self.t.folds)
+        return self.hexes.rows(s).energy(x) + self.barriers(s).energy(x)
 
     def gradient(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         """J (s, e, q), and the gradient of the energy (s, n, 3) [N]."""
         J, out = self.hexes.rows(s).gradient(x)
-        return J, out + self.folding.rows(s).gradient(x, self.t.folds)
+        return J, out + self.barriers(s).gradient(x)
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""

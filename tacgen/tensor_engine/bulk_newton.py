@@ -32,6 +32,7 @@ from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
 from tacgen.tensor_engine.course import Course, PartOfStep
+from tacgen.tensor_engine.elements import determinant
 from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.load_step import cover, covers, take
 from tacgen.tensor_engine.replay import Write
@@ -97,7 +98,7 @@ def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[None, None]:
     t = b.t
     (x,) = gathered(s, t.x)
     g = b.hexes.rows(s).mixed_forces(x, t.J, t.taken)
-    g = g + b.folding.rows(s).gradient(x, t.folds)
+    g = g + b.barriers(s).gradient(x)
     y, load = b.factors.forward(s, g, sizes.nodes)
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))
@@ -326,8 +327,7 @@ def _measured(
 def fail(b: Batch, row: int, x: Tensor, steps: int) -> None:
     """No equilibrium in so many steps, which ended at x (n, 3)."""
     s = b.slots([row])
-    hexes = b.hexes.rows(s)
-    J = hexes.evaluate(x[None]).J[hexes.own[1] > 0]
+    J = determinant(b.hexes.rows(s).deformation(x[None]))[b.hexes.weights[s] > 0]
     least = float(J.min())
     failure = Failure.squeezed if least < SQUEEZED else Failure.newton
     b.courses[row].failure = NotConverged(failure, steps=steps, least_J=least)

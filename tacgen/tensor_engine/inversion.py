@@ -4,21 +4,23 @@ See fem.folding_barrier and fem.jacobian.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.fem.elasticity import SMALLEST_J
 from tacgen.fem.elements import grid_points
-from tacgen.fem.folding_barrier import J0, STIFFNESS
+from tacgen.fem.folding_barrier import STIFFNESS
 from tacgen.fem.jacobian import DEPTH, TABLES
 from tacgen.fem.potential import Projection
-from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.elements import Topology, clamped, cofactor, determinant, mapped, slopes, stiffness
-from tacgen.tensor_engine.indices import constant, gathered
-from tacgen.tensor_engine.laws import clamped_log
-from tacgen.tensor_engine.replay import rare, recording, room
+from tacgen.physics import elements, tangents
+from tacgen.physics.laws import BARRIER_J0
+from tacgen.physics.runtime import launch, room
+from tacgen.tensor_engine.elements import Topology
+from tacgen.tensor_engine.indices import constant
+from tacgen.tensor_engine.replay import rare, recording
+from tacgen.tensor_engine.replay import room as recorded_room
 
 DENSE = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
 TABLE = TABLES[8]
@@ -32,117 +34,105 @@ DIVIDED, RECORDED = 4096, (64, 1024)  # pieces of a scene that are divided at on
 
 @dataclass(frozen=True)
 class Folding:
-    """Cells with a point below J0, as pairs of `scene` and `cell` (k,), and their state: B (k, q, 8, 3), weights and J
-    (k, q), U' and U'' there; the energy of each scene (s,) [N mm], inf if a cell is inverted at a point."""
+    """The barrier at positions x (s, n, 3): the cells on which it may act, `items` (k, 2) of a row of x and a cell."""
 
-    topology: Topology
-    scene: Tensor
-    cell: Tensor
-    B: Tensor
-    weights: Tensor
-    F: Tensor
-    slope: Tensor
-    bend: Tensor
-    energy: Tensor
-
-    def add_forces(self, out: Tensor) -> None:
-        """Add dE/dx to out (s, n, 3) [N]."""
-        if len(self.cell):
-            P = (self.weights * self.slope)[..., None, None] * cofactor(self.F)
-            at = self.scene[:, None] * out.shape[1] + self.topology.conn[self.cell]
-            out.view(-1, 3).index_put_((at.flatten(),), (self.B @ P.mT).sum(1).view(-1, 3), accumulate=True)
+    barriers: "FoldingBarriers"
+    x: Tensor
+    items: Tensor
 
     def add_tangents(self, out: Tensor, projection: Projection) -> None:
         """Add d2E/dx2 to the cells' tangents out (s, e, 24, 24)."""
-        if not len(self.cell):
+        if not len(self.items):
             return
-        zero = torch.zeros_like(self.slope)
-        first, second = [zero, zero, self.slope], [zero, zero, self.bend, zero, zero, zero]
-        D = slopes(self.F, zero, first, second, False)
-        if projection is not Projection.NONE:
-            D = clamped(D, self.F, projection)
-        out[self.scene, self.cell] += stiffness(self.B, self.weights, D).to(out.dtype)
+        kernels = tangents.double() if out.dtype is torch.float64 else tangents.single()
+        k, q, b = len(self.items), len(DENSE), self.barriers
+        points = room(kernels.Point, (k, q), out)
+        modes = None if projection is Projection.NONE else room(kernels.mat, (k, q, 9), out)
+        launch(
+            kernels.folding_points, (k,), self.x, b.topology.cells, b.dN, b.rest, b.stiffness, b.numbers, self.items,
+            int(projection), points, modes,
+        )  # fmt: skip
+        slopes = b.dN.expand(len(b.rest), b.rest.shape[1], -1, -1, -1)
+        launch(
+            kernels.pair_blocks, (k, 64), slopes, b.numbers, self.items, points, modes, None, False, True, out.shape[1],
+            out,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class FoldingBarriers:
-    """The barrier on all cells: nodes at rest X (capacity, n, 3), det(dX/dxi) at rest (capacity, e, q), volumes
-    (capacity, e) [mm^3], 0 for void cells, and shear moduli mu (capacity, e) [MPa]; slots (s,): the scenes of a call,
-    all if None. Stiffness is multiplied by `times` (capacity,)."""
+    """The barrier on all cells: det(dX/dxi) at rest (capacity, e, q), the largest of a cell, and the stiffness times a
+    point's volume (capacity, e) [N mm], 0 for void cells; slots (s,): the scenes of a call, all if None."""
 
     topology: Topology
-    X: Tensor
     rest: Tensor
-    volume: Tensor
-    mu: Tensor
+    most: Tensor
+    stiffness: Tensor
     slots: Tensor | None = None
 
     @classmethod
     def on(cls, topology: Topology, X: Tensor, volume: Tensor, mu: Tensor) -> "FoldingBarriers":
-        return cls(topology, X, _determinants(X[:, topology.conn]).contiguous(), volume, mu)
+        """With nodes X (s, n, 3) at rest, volumes (s, e) [mm^3] and shear moduli [MPa] of cells."""
+        rest = _determinants(X[:, topology.conn]).contiguous()
+        return cls(topology, rest, rest.amax(-1), STIFFNESS * mu * volume / len(DENSE))
 
     def rows(self, slots: Tensor) -> "FoldingBarriers":
         """Only some scenes (r,)."""
         return replace(self, slots=slots)
 
+    def stiffened(self, times: Tensor) -> "FoldingBarriers":
+        """With stiffnesses multiplied by `times` (capacity,)."""
+        return replace(self, stiffness=self.stiffness * times[:, None])
+
     @property
+    def dN(self) -> Tensor:
+        return constant(DENSE, self.rest)
+
+    @cached_property
     def numbers(self) -> Tensor:
         """The slots of the scenes of a call."""
-        return torch.arange(len(self.X), device=self.X.device) if self.slots is None else self.slots
+        return (torch.arange(len(self.rest), device=self.rest.device) if self.slots is None else self.slots).int()
 
-    def energy(self, x: Tensor, times: Tensor) -> Tensor:
+    def _folds(self, x: Tensor, want: bool) -> tuple[Tensor, Tensor]:
+        """Energies (s, e) of cells at x (s, n, 3) and, if wanted, forces (s, e, 8, 3) on their corners."""
+        s, e = len(x), self.rest.shape[1]
+        energy, forces = x.new_empty(s * e), x.new_empty((s * e, 8, 3) if want else (0, 0, 3))
+        launch(
+            elements.folds, (s * e,), x.contiguous(), self.topology.cells, self.dN, self.rest, self.most,
+            self.stiffness, self.numbers, None, energy, forces,
+        )  # fmt: skip
+        return energy.view(s, e), forces.view(s, e, 8, 3) if want else forces
+
+    def energy(self, x: Tensor) -> Tensor:
         """The energy (s,) [N mm] at positions x (s, n, 3), inf if a cell is inverted."""
-        if devices.by_kernels(x):
-            from tacgen.tensor_engine import gpu_elements
+        return self._folds(x, False)[0].sum(1)
 
-            return gpu_elements.folds(self, x, times, False)[0].sum(1)
-        return self.evaluate(x, times).energy
-
-    def gradient(self, x: Tensor, times: Tensor) -> Tensor:
+    def gradient(self, x: Tensor) -> Tensor:
         """dE/dx (s, n, 3) [N] at positions x (s, n, 3)."""
-        if devices.by_kernels(x):
-            from tacgen.tensor_engine import gpu_elements
+        return self.topology.at_nodes(self._folds(x, True)[1])
 
-            return self.topology.at_nodes(gpu_elements.folds(self, x, times, True)[1])
-        out = torch.zeros_like(x)
-        self.evaluate(x, times).add_forces(out)
-        return out
-
-    def evaluate(self, x: Tensor, times: Tensor) -> Folding:
+    def evaluate(self, x: Tensor) -> Folding:
         """At positions x (s, n, 3)."""
-        parts = self.X, self.rest, self.volume, self.mu, times
-        X, rest, volume, mu, times = parts if self.slots is None else gathered(self.slots, *parts)
-        corners, low = x[:, self.topology.conn], self._lowest(x, rest)
-        folded = (low < J0) & (volume > 0)
+        low = self._lowest(x)
         if recording():  # the lowest; it is 0 where they are above J0
-            most = min(room(*FOLDED), low.shape[1])
-            rare(folded.sum(1) > most)
-            cell = torch.where(volume > 0, low, torch.inf).topk(most, largest=False).indices.flatten()
+            most = min(recorded_room(*FOLDED), low.shape[1])
+            rare((low < BARRIER_J0).sum(1) > most)
+            cell = low.topk(most, largest=False).indices.flatten()
             scene = torch.arange(len(x), device=x.device).repeat_interleave(most)
-        elif rare(folded):
-            scene, cell = torch.nonzero(folded, as_tuple=True)
-        else:
-            none, cell = x.new_zeros(0), self.topology.conn.new_zeros(0)
-            return Folding(self.topology, cell, cell, none, none, none, none, none, x.new_zeros(len(x)))
-        B, _ = mapped(X[scene[:, None], self.topology.conn[cell]], DENSE)
-        q = len(DENSE)
-        weights = (volume[scene, cell] / q)[:, None].expand(-1, q)
-        F = torch.einsum("kai,kqaJ->kqiJ", corners[scene, cell], B)
-        J = determinant(F)
-        good = J > SMALLEST_J
-        stiff = (STIFFNESS * times[scene] * mu[scene, cell])[:, None]
-        U, slope, bend = clamped_log(stiff, torch.where(good, J, 1.0))
-        energy = torch.where(good, weights * U, torch.inf).sum(1)
-        total = x.new_zeros(len(x)).index_put_((scene,), energy, accumulate=True)
-        return Folding(self.topology, scene, cell, B, weights, F, slope, bend, total)
+            return Folding(self, x.contiguous(), torch.stack([scene, cell], -1).int())
+        folded = low < BARRIER_J0
+        items = torch.nonzero(folded) if rare(folded) else self.topology.conn.new_zeros(0, 2)
+        return Folding(self, x.contiguous(), items.int())
 
-    def _lowest(self, x: Tensor, rest: Tensor) -> Tensor:
-        """The lowest J of each cell (s, e) at the dense points, where that at rest is (s, e, q)."""
-        if devices.by_kernels(x):
-            from tacgen.tensor_engine import gpu_elements
-
-            return gpu_elements.lowest(self.topology, x, rest)
-        return (_determinants(x[:, self.topology.conn]) / rest).amin(-1)
+    def _lowest(self, x: Tensor) -> Tensor:
+        """The lowest J of each cell (s, e) at the dense points, or a bound of at least J0; inf in void cells."""
+        low = x.new_empty(len(x), self.rest.shape[1])
+        launch(
+            elements.lowest, low.shape, x.contiguous(), self.topology.cells, self.dN, self.rest, self.most,
+            self.numbers, low,
+        )  # fmt: skip
+        stiffness = self.stiffness if self.slots is None else self.stiffness[self.slots]
+        return torch.where(stiffness > 0, low, torch.inf)
 
 
 def _determinants(corners: Tensor) -> Tensor:
@@ -173,7 +163,7 @@ def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol
         if depth == DEPTH or not (recording() or bool(open_.any())):
             bound = torch.minimum(bound, low.amin(1))
             break
-        count = min(room(*RECORDED) if recording() else DIVIDED, low.shape[1])
+        count = min(recorded_room(*RECORDED) if recording() else DIVIDED, low.shape[1])
         if recording():
             rare(open_.sum(1) > count)
         which = low.topk(count, largest=False).indices

@@ -107,7 +107,7 @@ def take(b: Batch, rows: list[int], at: str, mixed: bool, projection: Projection
 def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection, s: Tensor) -> tuple[Tensor, None]:
     """Keeps the factors of tangents. Tells which there are (s,)."""
     x = getattr(b.t, at)[s]
-    F, K = b.hexes.rows(s).tangents(x, b.t.J[s] if mixed else None, projection, b.factors.dtype)
+    F, K = b.hexes.rows(s).tangents(x, b.t.J if mixed else None, projection, b.factors.dtype)
     b.folded(s, x).add_tangents(K, projection)
     good, S = b.factors.factor(s, K, b.t.nodes[s, : sizes.nodes], sizes.fewest)
     b.keep(s, S=S)

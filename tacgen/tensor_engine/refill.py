@@ -10,7 +10,7 @@ from tacgen.tensor_engine.grids import Place
 
 ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
 
-FOLDING = ("X", "rest", "volume", "mu")
+FOLDING = ("rest", "most", "stiffness")
 
 
 def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:

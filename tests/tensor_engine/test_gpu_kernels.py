@@ -24,11 +24,9 @@ from tacgen.tensor_engine import (
     gpu_blocks,
     gpu_contact,
     gpu_distance,
-    gpu_elements,
     gpu_facets,
     gpu_fronts,
     gpu_substitution,
-    gpu_tangents,
     indices,
     load_step,
     multifrontal,
@@ -37,11 +35,8 @@ from tacgen.tensor_engine import (
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import dissected
-from tacgen.tensor_engine.elements import Hexes
 from tacgen.tensor_engine.grids import GridPattern
-from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
-from tensor_engine import test_elements
 from tensor_engine.compiling import interpreted_and_compiled
 from tensor_engine.test_contact import SHAPES, Case
 from tensor_engine.test_multifrontal import matrices
@@ -319,57 +314,6 @@ def test_factors_condensed_to_nodes_and_substitutions(monkeypatch: pytest.Monkey
         assert close(found, wanted, 3e-5)
 
 
-@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
-def test_energy_and_forces_of_cells() -> None:
-    """Of scenes in other slots than their own, with void cells and one that is inverted."""
-    case = test_elements.Case()
-    exists = case.exists.clone()
-    exists[2, 5:] = False
-    slots = torch.tensor([2, 0, 4, 3, 1])
-    hexes = Hexes.on(case.topology, case.X, exists, case.laws).rows(slots)
-    x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
-    x[4, 0] += 1.5
-    taken, ahead = torch.zeros(5, 27, 8, 3, 3, dtype=x.dtype), torch.zeros(5, 27, 8, dtype=x.dtype)
-    taken[slots] = hexes.deformation(there)
-    J, forces = hexes.gradient(x)
-    energy, found, parts = gpu_elements.states(hexes, x, True)
-    assert torch.isinf(hexes.energy(x)).tolist() == torch.isinf(energy.sum(1)).tolist() == [False] * 4 + [True]
-    assert close(energy.sum(1)[:4, None], hexes.energy(x)[:4, None])
-    assert torch.equal(gpu_elements.states(hexes, x, False)[0], energy)
-    for name, one, other in (
-        ("J", found, J),
-        ("forces", case.topology.at_nodes(parts), forces),
-        ("predicted", gpu_elements.predictions(hexes, there, x, taken), hexes.predicted(there, x, taken)),
-    ):
-        assert close(one[:4], other[:4]), name
-    ahead[slots] = hexes.predicted(there, x, taken)
-    mixed = case.topology.at_nodes(gpu_elements.states(hexes, x, True, ahead, taken)[2])
-    wanted = hexes.mixed_forces(x, ahead, taken)
-    assert close(mixed[:4], wanted[:4])
-    assert not close(mixed[:4], forces[:4], 1e-3)
-
-
-@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
-@pytest.mark.parametrize("mixed", [False, True])
-def test_tangents_of_cells(mixed: bool) -> None:
-    case, slots = test_elements.Case(), torch.tensor([3, 1, 0])
-    hexes = Hexes.on(case.topology, case.X, case.exists, case.laws).rows(slots)
-    x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
-    J = hexes.predicted(there, x, case.many.deformation(case.tensor(case.taken))) if mixed else None
-    F, wanted = hexes.tangents(x, J)
-    found, K = gpu_tangents.tangents(hexes, x, J)
-    assert close(found, F)
-    assert close(K, wanted, 1e-6)
-
-
-@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
-def test_lowest_jacobians_of_cells() -> None:
-    case = test_elements.Case()
-    x, one = case.tensor(case.x), torch.ones(case.exists.shape, dtype=torch.float64)
-    barriers = FoldingBarriers.on(case.topology, case.X, one, one)
-    assert close(gpu_elements.lowest(case.topology, x, barriers.rest), barriers._lowest(x, barriers.rest))
-
-
 @pytest.mark.parametrize("shape", [(6, 70, 100), (6, 3, 20, 5), (6, 3, 0, 5)])
 @pytest.mark.parametrize("transposed", [False, True])
 def test_products_of_matrices_in_slots(shape: tuple[int, ...], transposed: bool) -> None:
@@ -400,28 +344,6 @@ def test_products_of_parts_of_matrices(transposed: bool) -> None:
         *(part.to(DEVICE) for part in (A, slots, x)), transposed, (down.to(DEVICE), across.to(DEVICE))
     )
     assert close(found, wanted, 1e-12)
-
-
-@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
-def test_the_barrier_of_cells() -> None:
-    """Of scenes in other slots than their own, with an inverted cell and a void one."""
-    case, slots = test_elements.Case(), torch.tensor([3, 4, 0, 1])
-    mu, times = torch.linspace(0.1, 0.4, case.exists.numel()).double().view(case.exists.shape), torch.arange(5.0) + 1
-    volume = case.many.weights.sum(-1)
-    volume[0, 0] = 0.0
-    barrier = FoldingBarriers.on(case.topology, case.X, volume, mu).rows(slots)
-    x = (case.X + 0.6 * (case.tensor(test_elements.folded(case)) - case.X))[slots]
-    x[1, 0] += 1.0
-    x[2, case.cells[0][0][0]] += 0.4  # of the void cell alone
-    energy, parts = gpu_elements.folds(barrier, x, times.double(), True)
-    wanted, forces = barrier.energy(x, times.double()), barrier.gradient(x, times.double())
-    assert torch.isinf(energy.sum(1)).tolist() == torch.isinf(wanted).tolist() == [False, True, False, False]
-    assert close(energy.sum(1)[[0, 2, 3], None], wanted[[0, 2, 3], None])
-    assert (wanted > 0).tolist() == [True, True, False, True]  # the only folded cell of slot 0 is void
-    assert close(gpu_elements.at_nodes(case.topology, parts)[[0, 2, 3]], forces[[0, 2, 3]])
-    parts = torch.tensor(np.random.default_rng(8).normal(size=parts.shape))
-    assert close(gpu_elements.at_nodes(case.topology, parts), case.topology.at_nodes(parts))
-    assert torch.equal(gpu_elements.folds(barrier, x, times.double(), False)[0], energy)
 
 
 @pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")

@@ -1,0 +1,16 @@
+"""Each formula of the solver once, as Warp functions and kernels for a core and for a GPU."""
+
+import warp as wp
+
+from tacgen import terminal
+
+# Inlining up to 1000 instructions doubles the speed of tangents; Warp's own limit, 9000, compiles for a minute.
+FLAGS = "-march=native -mllvm=-inline-threshold=1000 -mllvm=-slp-recursion-max-depth=4"
+MAX_UNROLLED_STEPS = 3  # of a loop; more compiles for longer and runs no faster
+
+wp.config.quiet, wp.config.log_level = True, wp.LOG_WARNING
+wp.config.cpu_compiler_flags = FLAGS
+wp.config.max_unroll = MAX_UNROLLED_STEPS
+wp.config.enable_backward = False
+with terminal.silent_errors():  # that there is no GPU
+    wp.init()
