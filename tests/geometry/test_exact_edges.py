@@ -71,13 +71,6 @@ def test_the_same_points_are_computed_once() -> None:
     assert all((a == b).all() for a, b in zip(again, first, strict=True))
 
 
-def test_a_spline_alone_makes_a_tip_recede_by_half_a_cell() -> None:
-    """What the exact edges are for."""
-    found, tip = field(sharp.wedge(15)), np.array([[0.0, 0.0, 0.0]])
-    assert found.value(tip) == pytest.approx(RADIUS * (1 / math.sin(HALF) - 1), abs=1e-9)
-    assert Field.distance(found, tip)[0] > 0.5 * CELL
-
-
 def tube() -> trimesh.Trimesh:
     """Thinner than a cell, with creases of 15 deg inside."""
     return trimesh.creation.annulus(r_min=0.25, r_max=0.35, height=3, sections=24)

@@ -85,28 +85,13 @@ def test_a_rough_mirror_reflects_nearly_all_and_never_more():
         assert 0.8 < total < 1.02
 
 
-def test_a_ridge_takes_a_strips_light_away():
-    p, down = np.array([[-3.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
-    light = one([4.0, 0.0, -0.8], [-1.0, 0.0, 0.0], 1e-3, 0.05)
-    slab = strip_light.Slab(np.array([-10.0]), np.array([np.inf]), np.array([1.0]))
-    flat, size = np.zeros((101, 101)), (10.0, 10.0)
-    ridge = flat.copy()
-    ridge[:, 50:53] = -1.2
-    clear, shaded = (
-        strip_light.gather(p, down, down, *light, slab, NOTHING, 0.4, Terrain.of(heights, size))[0, 0, 0]
-        for heights in (flat, ridge)
-    )
-    assert clear > 0.0
-    assert shaded == 0.0
-
-
 @pytest.mark.parametrize(("normal", "image"), [([0.6, 0.0, -0.8], 1), ([-1.0, 0.0, 0.0], 0), ([-1.0, 0.0, 0.0], 1)])
 def test_a_strip_stands_in_the_way_where_a_fine_walk_meets_it(normal, image):
     """Two layers; the way is bent at the one between, and mirrored under it."""
     slab = strip_light.Slab(np.array([-8.0, -4.0]), np.array([-4.0, np.inf]), np.array([1.49, 1.41]))
     source = np.array([-9.0, 0.5, -6.0])
     home, rng, seen = strip_light.layer(source[2], slab.tops), np.random.default_rng(5), set()
-    for _ in range(200):
+    for _ in range(60):
         p, middle = np.array([*rng.uniform(-5, 5, 2), 0.0]), rng.uniform([-8, -2, -7.5], [0, 2, -0.5])
         led = Led(name="in the way", center_mm=middle, normal=normal, size_mm=(4, 2), radiance=(1, 1, 1), source="test")
         panels = strip_light.Panels.of([led])
