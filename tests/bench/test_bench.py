@@ -192,16 +192,17 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path, capsys: pyt
     assert "cannot be written" in capsys.readouterr().err
 
 
-def test_a_references_noise_is_not_taken_for_an_error() -> None:
-    """However strong: it is ten times the error here, and a plain mean of squares would be 20 dB off."""
+@pytest.mark.parametrize(("count", "surest"), [(2, 6), (8, 3)])
+def test_a_references_noise_is_not_taken_for_an_error(count: int, surest: float) -> None:
+    """Of any number of parts: it is ten times the error here, and a plain mean of squares would be 20 dB off."""
     from benchmarks.image_error import decibel
 
     camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(4)
     truth = np.full((32, 40, 3), 0.2)
-    halves = [truth + 0.04 * rng.standard_normal(truth.shape) for _ in range(2)]
+    parts = [truth + 0.04 * rng.standard_normal(truth.shape) for _ in range(count)]
     expected = -20 * np.log10(float(camera_response.slope(np.array(0.204), camera)) * 0.004)
-    found, sure = decibel(1.02 * truth, halves, camera, noisy=False)
-    assert sure < 6
+    found, sure = decibel(1.02 * truth, parts, camera, noisy=False)
+    assert sure < surest
     assert abs(found - expected) < 2 * sure
     exact, _ = decibel(1.02 * truth, [truth, truth], camera, noisy=False)
     assert exact == pytest.approx(expected, abs=1e-6)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.small_recipe import HEAD
 from matplotlib.path import Path as Outline
 from scipy.spatial import Delaunay
 from typer.testing import CliRunner
@@ -29,15 +30,7 @@ gel:
   source: made by a test
 camera: {{distance_mm: 20, mm_per_px: 0.2, width_px: 48, height_px: 48, source: assumed}}
 """
-RECIPE = """\
-tacgen: 1
-name: drawn
-sensor: ./drawn.yaml
-quality: {edge_mm: 0.8, dhat_mm: 0.05}
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 0.6, frames: 1}}]
-outputs: [force]
-"""
+RECIPE = HEAD.replace("gelsight_mini", "./drawn.yaml") + "  - press: {depth_mm: 0.6, frames: 1}\n"
 SIZE = (12.2, 16.2, 2.5)
 MUSHROOM = [(-4, 0), (4, 0), (4, 1), (6, 1), (6, 3), (-6, 3), (-6, 1), (-4, 1)]
 

@@ -19,6 +19,8 @@ Array = np.ndarray
 RADIUS, CELL = 0.02, 0.15
 HALF = math.radians(15)
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 
 def field(mesh: trimesh.Trimesh, cell: float = CELL) -> Field:
     solid = SolidMesh("test", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))

@@ -26,6 +26,8 @@ SHAPES = [
     ConeSdf(0.5, 0.05), WedgeSdf(0.5, 0.1, 40.0),
 ]  # fmt: skip
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 
 def pose(tilt_deg: float = 0.0, axis_deg: float = 90.0, yaw_deg: float = 0.0, x: float = 0.0, y: float = 0.0) -> Array:
     found, a = np.eye(4), np.radians(axis_deg)

@@ -73,6 +73,11 @@ def test_contact_forces_push_the_gel_off() -> None:
     assert contact.shape.distance(contact.pose.local(out).reshape(-1, 3))[0] + 0.04 == pytest.approx(gap.ravel() + 1e-6)
 
 
+def test_shrinking_the_indenter_opens_every_gap_by_as_much() -> None:
+    contact, x = CONTACTS["cone"], bent()
+    assert contact.moved(contact.pose, 0.14).gaps(x)[0] - contact.gaps(x)[0] == pytest.approx(0.1)
+
+
 def test_no_step_passes_through_the_indenter() -> None:
     """Straight through a ball's middle: stopped before its far half."""
     contact = Contact(FACES, SphereSdf(1.0), Pose(np.eye(3), np.array([0, 0, 0.3])), DHAT, 0.7)

@@ -217,6 +217,8 @@ def test_a_stiffer_barrier_pushes_as_much_harder_and_a_smaller_indenter_leaves_a
     assert coupled.shrunk(0.12).evaluate(x).gap == pytest.approx(found.gap + 0.1)
     assert found.mean_gap == pytest.approx((found.N * found.gap).sum() / found.N.sum())
     assert found.mean_gap == pytest.approx(coupled.contact.mean_gap(x))
+    for known, mine in zip(coupled.contact.pressure(x), (found.N, found.normal, found.gap), strict=True):
+        assert mine == pytest.approx(known)
     away = replace(coupled, contact=coupled.contact.moved(Pose(np.eye(3), np.array([0.0, 0.0, 9.0])), 0.0))
     assert np.isnan(away.evaluate(x).mean_gap)
     assert not away.evaluate(x).force.any()
