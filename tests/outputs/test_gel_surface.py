@@ -226,3 +226,12 @@ def test_a_face_in_contact_is_the_balls_own(
     assert (smooth.now == plain.now).all()
     monkeypatch.setattr(gel_surface, "MIN_EDGES", 10)  # what the mesh does not resolve is left as it is solved
     assert np.array_equal(surface.pressed(pressed.problem, state).at(middle + out), plain.at(middle + out))
+
+
+def test_sliding_cells_have_all_the_friction_there_can_be(maps: list[Maps]) -> None:
+    """|t| = friction x pressure where all points slide, as nearly as friction knows the normal forces (advance.LAG)."""
+    found = maps[SLID]
+    full = (found.sliding > 1 - 1e-9) & (found.pressure > 0)
+    assert full.sum() > 500
+    off = np.abs(np.linalg.norm(found.traction, axis=-1) - COEFFICIENT * found.pressure)[full]
+    assert off.max() < 1e-3 * COEFFICIENT * found.pressure.max()
