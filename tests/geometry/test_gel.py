@@ -51,7 +51,17 @@ CAP = [(3.0 + np.cos(t), 2.0 + np.sin(t)) for t in np.radians(np.arange(0, 91, 1
 
 def turned(profile: list[tuple[float, float]], n: int = 24) -> trimesh.Trimesh:
     """The closed solid that a profile (r, z) from the base up makes around the z axis."""
-    return trimesh.creation.revolve([(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])], sections=n)
+    angle = np.arange(n) * 2 * np.pi / n
+    rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(n, z)]) for r, z in profile]
+    ends = [[0, 0, profile[0][1]], [0, 0, profile[-1][1]]]
+    k, after = np.arange(n), (np.arange(n) + 1) % n
+    low, high = n * len(rings), n * len(rings) + 1
+    faces = [np.stack([np.full(n, low), after, k], 1), np.stack([k, after, np.full(n, high) - n * (len(rings) - 1)], 1)]
+    faces[1] = np.stack([k + n * (len(rings) - 1), after + n * (len(rings) - 1), np.full(n, high)], 1)
+    for i in range(len(rings) - 1):
+        a, b, c, d = k + n * i, after + n * i, after + n * (i + 1), k + n * (i + 1)
+        faces += [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
+    return trimesh.Trimesh(np.concatenate([*rings, ends]), np.concatenate(faces), process=False)
 
 
 KNOB = [(3.5, 0.0), (3.0, 1.0), *CAP]  # a dome on a waist: the ledge below the rim faces up, and is not coated
