@@ -146,9 +146,11 @@ def test_a_bug_in_one_scene_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -
     assert np.isfinite(together["s a frame, p90"])
 
 
-def test_an_inverted_element_is_listed_though_the_scene_is_ok() -> None:
+def test_an_inverted_element_is_listed_and_fails_though_the_scene_is_ok() -> None:
     folded = ordinary.Outcome(draws.BALL, "draft", "ok", frames=3, least_J=-0.1)
     assert ordinary._summary("ball", [folded])[-6:-3] == [-0.1, 1, 0]
+    (failed,) = ordinary._failed([folded, replace(folded, least_J=0.2)]).rows
+    assert failed[-2:] == ["ok", "least certified J -0.100"]
 
 
 def test_the_mean_is_what_a_set_costs_and_objects_stand_apart() -> None:
@@ -160,12 +162,6 @@ def test_the_mean_is_what_a_set_costs_and_objects_stand_apart() -> None:
     assert (named["shapes"], named["objects"]) == ([long], [short, late])
     summary_of_all = ordinary._summary("ordinary", [long, short, late])
     assert 0.3 in [pytest.approx(cell) for cell in summary_of_all if isinstance(cell, float)]
-
-
-def test_an_inverted_element_fails() -> None:
-    folded = ordinary.Outcome(draws.BALL, "draft", "ok", frames=3, least_J=-0.1)
-    (failed,) = ordinary._failed([folded, replace(folded, least_J=0.2)]).rows
-    assert failed[-2:] == ["ok", "least certified J -0.100"]
 
 
 def test_forces_are_compared_where_both_paths_have_been() -> None:

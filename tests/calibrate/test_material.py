@@ -119,8 +119,19 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
         ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", "friction=0.5"), "must be PATH=LOW:HIGH, such as"),
         ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", "name=0:1"), "name is no number of the recipe or"),
         ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", f"sensor.{MODULUS}=1:2"), "is 0.432, which the range must"),
+        ("depth_mm,force_n\n0.5,1,2\n1,2\n1.5,3", (), ":2: has 3 cells, and the header 2: is a comma a decimal point?"),
+        ("depth_mm,force_n\n0.5\n1,2\n1.5,3", (), ":2: has 1 cells, and the header 2"),
+        ("depth_mm,force_n\n0.0005,1\n0.001,3\n0.0015,5\n", (),
+         "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 0.00"),
+        ("depth_mm,force_n\n0.5,1\n1,3\n3.9,5\n", (),
+         "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 3.9)"),
+        ("depth_mm,force_n\n0.5,1\n1,3\n1.5,1e308\n", (), ":4: force_n: must be a number below 1e+06 (got '1e308')"),
+        ("depth_mm,force_n\n-1e308,1\n1,3\n1.5,4\n", (), ":2: depth_mm: must be a number below 1e+06"),
+        ("depth_mm,force_n\n0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:inf"), "must be PATH=LOW:HIGH"),
+        ("depth_mm,force_n\n0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=nan:1"), "must be PATH=LOW:HIGH"),
+        ("depth_mm,force_n\n0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:1e308"), "must be PATH=LOW:HIGH"),
     ],
-)
+)  # fmt: skip
 def test_an_unusable_table_is_reported_in_one_line(
     tmp_path: Path, table: str, more: tuple[str, ...], says: str
 ) -> None:
@@ -138,27 +149,6 @@ def test_more_numbers_than_rows_are_refused(curves: Curves) -> None:
     measured = Measured("", depth, curves.force(depth), np.array([1.0, 2.0, 3.0]))
     with pytest.raises(ValueError, match="3 rows are too few to find 4 numbers"):
         fit_material.fit(curves, measured, terms=1)
-
-
-@pytest.mark.parametrize(
-    ("table", "more", "says"),
-    [
-        ("0.5,1,2\n1,2\n1.5,3", (), ":2: has 3 cells, and the header 2: is a comma a decimal point?"),
-        ("0.5\n1,2\n1.5,3", (), ":2: has 1 cells, and the header 2"),
-        ("0.0005,1\n0.001,3\n0.0015,5\n", (),
-         "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 0.00"),
-        ("0.5,1\n1,3\n3.9,5\n", (), "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 3.9)"),
-        ("0.5,1\n1,3\n1.5,1e308\n", (), ":4: force_n: must be a number below 1e+06 (got '1e308')"),
-        ("-1e308,1\n1,3\n1.5,4\n", (), ":2: depth_mm: must be a number below 1e+06"),
-        ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:inf"), "must be PATH=LOW:HIGH"),
-        ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=nan:1"), "must be PATH=LOW:HIGH"),
-        ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:1e308"), "must be PATH=LOW:HIGH"),
-    ],
-)  # fmt: skip
-def test_numbers_that_no_press_has_are_refused_by_line(
-    tmp_path: Path, table: str, more: tuple[str, ...], says: str
-) -> None:
-    test_an_unusable_table_is_reported_in_one_line(tmp_path, f"depth_mm,force_n\n{table}", more, says)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.small_recipe import HEAD
+from matplotlib.path import Path as Outline
+from scipy.spatial import Delaunay
 from typer.testing import CliRunner
 
 from tacgen import cli, pipeline
@@ -27,16 +30,9 @@ gel:
   source: made by a test
 camera: {{distance_mm: 20, mm_per_px: 0.2, width_px: 48, height_px: 48, source: assumed}}
 """
-RECIPE = """\
-tacgen: 1
-name: drawn
-sensor: ./drawn.yaml
-quality: {edge_mm: 0.8, dhat_mm: 0.05}
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 0.6, frames: 1}}]
-outputs: [force]
-"""
+RECIPE = HEAD.replace("gelsight_mini", "./drawn.yaml") + "  - press: {depth_mm: 0.6, frames: 1}\n"
 SIZE = (12.2, 16.2, 2.5)
+MUSHROOM = [(-4, 0), (4, 0), (4, 1), (6, 1), (6, 3), (-6, 3), (-6, 1), (-4, 1)]
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -48,26 +44,16 @@ def pad(deg: float = 0.0, size: tuple[float, float, float] = SIZE) -> trimesh.Tr
 
 
 def prism(profile: list[tuple[float, float]], length: float = 8.0) -> trimesh.Trimesh:
-    """The solid that a profile (x, z), counter-clockwise and with no corner on a side, makes along y."""
+    """The solid that a profile (x, z), whose sides are all edges of its Delaunay triangles, makes along y."""
     xz, n = np.array(profile, float), len(profile)
-    left, ears = list(range(n)), []
-    while len(left) > 2:  # ear clipping
-        for k in range(len(left)):
-            i, j, m = left[k - 1], left[k], left[(k + 1) % len(left)]
-            corner = np.array([xz[i], xz[j], xz[m]])
-            ways = np.roll(corner, -1, 0) - corner
-            others = xz[[o for o in left if o not in (i, j, m)]]
-            side = np.array([np.linalg.det(np.stack([np.tile(w, (len(others), 1)), others - c], 1))
-                             for w, c in zip(ways, corner, strict=True)])  # fmt: skip
-            if ways[0, 0] * ways[1, 1] - ways[0, 1] * ways[1, 0] > 1e-12 and not (side >= 0).all(0).any():
-                ears.append((i, j, m))
-                left.remove(j)
-                break
-    front = np.array(ears)
+    front = Delaunay(xz).simplices
+    front = front[Outline(xz).contains_points(xz[front].mean(1))]
     k, after = np.arange(n), (np.arange(n) + 1) % n
     walls = [np.stack([k, k + n, after], 1), np.stack([after, k + n, after + n], 1)]
     vertices = np.concatenate([np.insert(xz, 1, y, axis=1) for y in (0.0, length)])
-    return trimesh.Trimesh(vertices, np.concatenate([front, front[:, ::-1] + n, *walls]), process=False)
+    made = trimesh.Trimesh(vertices, np.concatenate([front, front + n, *walls]), process=False)
+    made.fix_normals()
+    return made
 
 
 def folder(tmp_path: Path, drawn: trimesh.Trimesh, more: str = "") -> Path:
@@ -118,15 +104,13 @@ def test_a_groove_is_not_held_nor_an_overhang(tmp_path: Path) -> None:
     grooved = [(-6, 0), (-0.5, 0), (-0.5, 0.6), (0.5, 0.6), (0.5, 0), (6, 0), (6, 3), (-6, 3)]
     found = held(tmp_path, prism(grooved))
     assert found[:, 3].sum() == pytest.approx(11 * 8)
-    mushroom = [(-4, 0), (4, 0), (4, 1), (6, 1), (6, 3), (-6, 3), (-6, 1), (-4, 1)]
-    found = held(tmp_path, prism(mushroom))
+    found = held(tmp_path, prism(MUSHROOM))
     assert found[:, 3].sum() == pytest.approx(8 * 8)
     assert found[:, 2].max() < -2.9
 
 
 def test_the_bonded_share_is_told(tmp_path: Path) -> None:
-    mushroom = [(-4, 0), (4, 0), (4, 1), (6, 1), (6, 3), (-6, 3), (-6, 1), (-4, 1)]
-    recipe = folder(tmp_path, prism(mushroom))
+    recipe = folder(tmp_path, prism(MUSHROOM))
     line = "note: 67% of the gel's footprint is bonded to the plate\n"
     for file in (recipe, tmp_path / "drawn.yaml"):
         done = CliRunner().invoke(cli.app, ["validate", str(file)])

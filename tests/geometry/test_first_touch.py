@@ -20,15 +20,13 @@ from tacgen.geometry.pose import about
 from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray
-PADS = {
-    "square": Pad(18.6, 14.3),
-    "rounded": Pad(18.6, 14.3, 3.0),
-    "stadium": Pad(16.0, 22.0, tip=-1),
-}
+PADS = {"square": Pad(18.6, 14.3), "rounded": Pad(18.6, 14.3, 3.0), "stadium": Pad(16.0, 22.0, tip=-1)}
 SHAPES = [
     SphereSdf(4.0), CapsuleSdf(2.0, 60.0), TorusSdf(4.0, 1.0), CylinderSdf(3.0, 0.3), BoxSdf(40.0, 30.0, 0.2),
     ConeSdf(0.5, 0.05), WedgeSdf(0.5, 0.1, 40.0),
 ]  # fmt: skip
+
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def pose(tilt_deg: float = 0.0, axis_deg: float = 90.0, yaw_deg: float = 0.0, x: float = 0.0, y: float = 0.0) -> Array:

@@ -171,10 +171,7 @@ def open_with_flag() -> trimesh.Trimesh:
     [
         (open_with_flag, "is not closed: 46 open edges, 1 edge between 3 or more triangles, one of them near x "),
         (bottle, "its triangles face to both sides; make their normals consistent in a mesh editor first"),
-        (
-            lambda: trimesh.util.concatenate([box(1, 1, 1), box(2, 1e-9, 2)]),
-            "has a part, near x ",
-        ),
+        (lambda: trimesh.util.concatenate([box(1, 1, 1), box(2, 1e-9, 2)]), "has a part, near x "),
     ],
 )
 def test_what_is_wrong_is_told_of_the_file_not_of_its_repair(make: Any, says: str, tmp_path: Path):

@@ -10,7 +10,7 @@ from helpers.meshes import ball, box, saved, truncated_cone
 
 from benchmarks import sharp
 from tacgen.errors import UserError
-from tacgen.geometry import mesh_file, mesh_import
+from tacgen.geometry import mesh_import
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.sdf_grid import Field
 from tacgen.recipe import assets, plan, scene_of_row
@@ -100,16 +100,6 @@ def test_the_sign_is_right_beside_slivers(cell: float):
     assert ((found < 0) == (true < 0))[off].all()
     assert found[true < 0] == pytest.approx(true[true < 0], abs=1e-3)
     field(cone, cell)
-
-
-def test_overlapping_bodies_are_united(tmp_path: Path):
-    other = box(2, 2, 2)
-    other.apply_translation([1, 0, 0])
-    found = mesh_file.read(saved(trimesh.util.concatenate([box(2, 2, 2), other]), tmp_path / "two.stl"))
-    assert found.body.max() == 1
-    made = mesh_import.field(mesh_import.placed(found), cell=0.1, height=2.0, half=30, radius=RADIUS)
-    inside = np.column_stack([np.linspace(-1.2, 1.2, 25), np.zeros(25), np.full(25, 0.5)])
-    assert (made.distance(inside)[0] < -0.2).all()
 
 
 def test_a_grid_has_a_bounded_number_of_nodes(monkeypatch: pytest.MonkeyPatch):

@@ -5,16 +5,7 @@ import pytest
 import trimesh
 
 from tacgen.geometry import surface_nets
-from tacgen.geometry.analytic_sdf import (
-    BoxSdf,
-    CapsuleSdf,
-    ConeSdf,
-    CylinderSdf,
-    Shape,
-    SphereSdf,
-    TorusSdf,
-    WedgeSdf,
-)
+from tacgen.geometry.analytic_sdf import BoxSdf, CapsuleSdf, ConeSdf, CylinderSdf, Shape, SphereSdf, TorusSdf, WedgeSdf
 from tacgen.geometry.surface_nets import Triangles
 
 SHAPES: list[Shape] = [

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tacgen.mechanics import blas_kernels
@@ -54,22 +53,3 @@ def test_the_library_takes_the_choice(tmp_path: Path) -> None:
     )
     assert ", Nehalem, " in done.stdout
     assert float(done.stdout.split()[-2]) > 0
-
-
-@pytest.mark.skipif("cholmod" not in available(), reason="no CVXOPT")
-def test_it_computes() -> None:
-    """Products and factors of sizes that fill the kernels' tiles and that do not."""
-    import cvxopt.blas
-    import cvxopt.lapack
-
-    matrix, rng = blas_kernels.cvxopt().matrix, np.random.default_rng(0)
-    for n in (1, 7, 64, 333):
-        a = rng.random((n, n))
-        s, c = a @ a.T + n * np.eye(n), matrix(0.0, (n, n))
-        cvxopt.blas.gemm(matrix(a), matrix(a), c)
-        assert np.array(c) == pytest.approx(a @ a, rel=1e-12)
-        factor, b = matrix(s), rng.random((n, 5))
-        x = matrix(b)
-        cvxopt.lapack.potrf(factor)
-        cvxopt.lapack.potrs(factor, x)
-        assert s @ np.array(x) == pytest.approx(b, abs=1e-11)

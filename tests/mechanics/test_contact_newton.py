@@ -11,13 +11,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import contact_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.condensation import Schur
-from tacgen.mechanics.contact_newton import (
-    ContactIterate,
-    ContactStatus,
-    Quadratic,
-    QuadraticPoint,
-    solve_contact,
-)
+from tacgen.mechanics.contact_newton import ContactIterate, ContactStatus, Quadratic, QuadraticPoint, solve_contact
 from tacgen.mechanics.coupled import CoupledContact, slip
 
 Array = np.ndarray

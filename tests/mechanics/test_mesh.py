@@ -51,14 +51,6 @@ def test_graded_intervals(half: float, edge: float, middle: float, width: float,
     assert (steps[:-1] <= growth * np.maximum(steps[1:], edge) * (1 + 1e-9)).all()
 
 
-def test_graded_is_uniform_where_all_is_fine_and_coarse_far_away() -> None:
-    assert mesh.graded(0, 2, (-1, 3), 0.5, 1.5, 3.0) == pytest.approx(np.linspace(0, 2, 5))
-    x = mesh.graded(-20, 20, (-1, 1), 0.5, 1.5, 3.0)
-    assert np.diff(x)[[0, -1]] == pytest.approx([3.0, 3.0], rel=0.3)
-    assert x == pytest.approx(-x[::-1])
-    assert len(x) < 30
-
-
 @settings(max_examples=100, deadline=None)
 @given(layers=st.lists(st.floats(0.05, 4.0), min_size=1, max_size=4), edge=st.floats(0.1, 1.0))
 def test_every_interface_is_a_grid_height(layers: list[float], edge: float) -> None:
@@ -161,15 +153,6 @@ def test_columns_outside_the_rounded_outline_are_left_out() -> None:
     assert facet_areas(made.points, made.facets["bonded"])[0].sum() == pytest.approx(area)
     assert elements(made.points, made.cells).weights.sum() == pytest.approx(2 * area)
     assert np.abs(made.points[:, :2]).max(0) == pytest.approx([6, 5])
-
-
-def test_meshes_are_the_same_each_time_and_arrays_fit_together() -> None:
-    one, two = (mesh.build(gel(2.0, corner=1.0), (-2, 2, -1, 1), 0.5) for _ in range(2))
-    assert (one.points == two.points).all()
-    assert (one.cells == two.cells).all()
-    assert one.cells.min() == 0
-    assert one.cells.max() == len(one.points) - 1
-    assert len(one.layer) == len(one.cells)
 
 
 def test_a_mesh_that_no_machine_could_solve_is_refused() -> None:

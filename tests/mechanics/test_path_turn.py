@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose, along, between, shortest_turn
-from tacgen.mechanics import DEFAULT, Failure, NotConverged, Problem, SolverOptions, mesh, states
+from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, mesh
 from tacgen.mechanics.load_stepping import steps_needed
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solve_state import Leg, SolveState
@@ -23,7 +23,6 @@ from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 ANGLES = [30.0, 179.0, 181.0, 190.0, -190.0, 360.0, 720.0, -1000.0]
-ROUGH = "contact.friction=0.6"
 PRESS = "press: {depth_mm: 0.4, frames: 1}"
 
 
@@ -62,20 +61,6 @@ def test_a_twist_goes_all_the_way_around_that_is_asked_for(angle: float) -> None
         assert (between(a, b, turn, k / 12) == pose).all()
     ways = [np.degrees(np.linalg.norm(shortest_turn(one, two))) for one, two in pairwise([a, *steps])]
     assert sum(ways) == pytest.approx(abs(angle))
-
-
-def test_by_a_twist_shared_out_over_frames_each_turns_by_its_share() -> None:
-    made = built(PRESS, "twist: {angle_deg: 570, frames: 3}", "slide: {x_mm: 0.5, frames: 1}")
-    assert made.turns is not None
-    assert np.degrees(made.turns) == pytest.approx(np.array([[0, 0, 0], *[[0, 0, 190]] * 3, [0, 0, 0]]))
-    for frame in (1, 2, 3):
-        a, b, turn = from_to(made, frame)
-        half = between(a, b, turn, 0.5)
-        assert half[:3, :3] == pytest.approx(about([0, 0, 1], 190 * (frame - 0.5)), abs=1e-12)
-    a, b, turn = from_to(made, 4)
-    half = between(a, b, turn, 0.5)
-    assert half[:3, :3] == pytest.approx(a[:3, :3])
-    assert half[:3, 3] == pytest.approx([0.25, 0, -0.4])
 
 
 def test_a_leaning_indenter_is_twisted_about_its_own_axis_and_tilted_about_the_gels() -> None:
@@ -177,21 +162,3 @@ def test_a_turn_that_fails_is_halved_on_its_own_way(angle: float, monkeypatch: p
     assert np.array([turned(leg.b) for leg in done]) == pytest.approx(sign * np.array([47.5, 95, 142.5, -170]))
     assert state.substeps == 4
     assert after.pose.rotation == pytest.approx(about([0, 0, 1], angle), abs=1e-12)
-
-
-@pytest.mark.parametrize("angle", [190.0, -170.0])
-def test_a_gel_is_dragged_along_on_the_way_that_is_asked_for(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both end at the same pose, and pull the gel around in opposite directions."""
-    made = built(PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}", sets=(ROUGH,))
-    problem = Problem.of(made, mesh.of(made), replace(DEFAULT, fold_halvings=0))
-    done = recorded(monkeypatch)
-    _, state = states(made, problem)
-    steps = np.unwrap([turned(leg.b) for leg in done], period=360)[1:]
-    assert len(steps) == state.substeps >= 4
-    assert steps == pytest.approx(angle * np.arange(1, len(steps) + 1) / len(steps))
-    at = problem.contact.faces.at(state.x)
-    torque = np.cross(at, state.traction_force).sum((0, 1))[2]
-    push = state.normal_force.sum()
-    assert np.sign(angle) * torque > 0.1 * 0.6 * push  # N mm: an arm of a tenth of a millimetre, at least
-    turned_by = np.cross(problem.mesh.points, state.x)[:, 2]
-    assert np.sign(angle) * turned_by.sum() > 0

@@ -49,10 +49,6 @@ def test_every_cycle_passes_a_phase_that_is_counted(phase: Phase) -> None:
     assert phase not in reached(phase, frozenset(COUNTED))
 
 
-def test_each_outcome_occurs_somewhere() -> None:
-    assert {outcome for row in TRANSITIONS.values() for outcome in row} == set(Outcome)
-
-
 def begun(shape: Shape, options: SolverOptions, depth: float, x: float = 0.0) -> tuple[Problem, SolveState]:
     """A press by `depth` and a slide by x at once, on a small pad, before the first kernel."""
     made = scene(shape, poses([(x, 0.0, -depth)]), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)

@@ -6,7 +6,7 @@ from helpers.tiny import sensor
 from scipy import stats
 
 from tacgen.optics import camera_response
-from tacgen.optics.camera_response import CELLS, QUANTILES, deviation
+from tacgen.optics.camera_response import QUANTILES, deviation
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import Camera, Noise
 
@@ -43,20 +43,6 @@ def test_variance_is_shot_times_signal_plus_read_squared(level: float) -> None:
     assert deviation(1.7, 1e-4, 0.01) == deviation(1.0, 1e-4, 0.01)  # a full pixel's is the greatest
 
 
-@pytest.mark.parametrize("strength", [0.5, 1.5])
-def test_a_picture_has_that_variance_times_strength_squared(strength: float) -> None:
-    grain = Noise(shot=(0.004, 0.008, 0.016), read=(0.02, 0.03, 0.04), strength=strength, source="test")  # many counts
-    camera = sensor().camera.model_copy(
-        update={"noise": grain, "vignette_mm": None, "response": "linear", "width_px": 400, "height_px": 300}
-    )
-    level = 0.5
-    even = np.full((300, 400, 3), level / camera.exposure)
-    made = camera_response.develop(even, camera, np.random.default_rng(2)) / 255
-    variance = (np.array(grain.shot) * level + np.square(grain.read)) * strength**2
-    assert made.var(axis=(0, 1)) == pytest.approx(variance + 1 / 12 / 255**2, rel=0.02)
-    assert np.abs(made.mean(axis=(0, 1)) - level).max() < 4 * np.sqrt(variance.max()) / 346
-
-
 def test_quantiles_are_those_of_a_normal_distribution_of_variance_1() -> None:
     values = camera_response.quantiles().astype(float)
     assert len(values) == QUANTILES
@@ -65,14 +51,6 @@ def test_quantiles_are_those_of_a_normal_distribution_of_variance_1() -> None:
     assert values.var() == pytest.approx(1.0, rel=1e-7)
     assert (values**4).mean() == pytest.approx(3.0, rel=2e-3)
     assert stats.kstest(values, "norm").statistic < 1e-4
-
-
-@pytest.mark.parametrize("response", ["srgb", "linear"])
-def test_no_cell_of_light_has_two_steps_between_counts(response: str) -> None:
-    steps, counts = camera_response.steps(response)
-    assert (np.diff(counts.astype(int)) <= 1).all()
-    assert (steps[:-1] > np.arange(CELLS) / CELLS).all()
-    assert counts[-1] == 255
 
 
 def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:
@@ -104,11 +82,12 @@ def test_counts_are_the_rounded_curve_at_every_light(response: str) -> None:
 
 
 def test_noise_is_a_quantile_for_each_16_bits_in_the_order_of_the_pixels() -> None:
-    camera = sensor().camera.model_copy(update={"noise": GRAIN, "vignette_mm": None, "response": "linear"})
+    grain = GRAIN.model_copy(update={"strength": 1.5})
+    camera = sensor().camera.model_copy(update={"noise": grain, "vignette_mm": None, "response": "linear"})
     even, light = np.full((32, 40, 3), 0.3), np.full((32, 40, 3), 0.3 * camera.exposure)
     for seed in range(30):
         drawn = np.random.default_rng(seed).integers(0, 1 << 16, even.shape, np.uint16)
         normal = camera_response.quantiles()[drawn]
-        noise = np.sqrt(np.array(GRAIN.shot) * light + np.square(GRAIN.read)) * normal
+        noise = 1.5 * np.sqrt(np.array(GRAIN.shot) * light + np.square(GRAIN.read)) * normal
         made = camera_response.develop(even, camera, np.random.default_rng(seed))
         assert np.array_equal(made, np.round(255 * np.clip(light + noise, 0, 1)))

@@ -47,15 +47,6 @@ def test_pictures_of_few_pixels_have_their_part_of_the_light(monkeypatch: pytest
     assert table.added(flat, LAMP, 0.1) == pytest.approx(0.25)
 
 
-def test_a_wall_hides_the_lamp_behind_it_and_nothing_else():
-    height = np.zeros((40, 80))
-    height[:, 50:53] = -2.0  # a furrow pressed 2 mm into the gel
-    dark = taxim_table.shadows(height, LAMP, 0.1)[..., 0]
-    assert (dark[:, 46:49] == 1).all()  # left of the furrow, away from the lamp
-    assert (dark[:, 55:] == 0).all()
-    assert (taxim_table.shadows(np.zeros((40, 80)), LAMP, 0.1) == 0).all()
-
-
 def test_lamps_are_mixed_by_their_light():
     rng = np.random.default_rng(1)
     alone = [

@@ -1,4 +1,4 @@
-"""What the contact does: ten small scenes of which it is known, and loads of which the friction used is known."""
+"""What the contact does: eight small scenes of which it is known, and loads of which the friction used is known."""
 
 from pathlib import Path
 
@@ -24,13 +24,11 @@ SCENES = {  # indenter, friction, trajectory, modes
     "is held": (BALL, 0.4, [PRESS, "hold: {frames: 1}"], "touching touching touching"),
     "sticks": (PUNCH, 2.0, [PRESS, "slide: {x_mm: 0.6, frames: 1}"], "touching touching sticking"),
     "slips at its rim": (BALL, 0.6, [PRESS, "slide: {y_mm: -0.4, frames: 1}"], "touching touching slipping"),
-    "slides": (BALL, 0.3, [PRESS, "slide: {x_mm: 2, frames: 2}"], "touching touching sliding sliding"),
-    "turns": (BALL, 0.2, [PRESS, "twist: {angle_deg: -80, frames: 2}"], "touching touching turning turning"),
     "stops": (BALL, 0.3, [PRESS, "slide: {x_mm: 2, frames: 1}", "hold: {frames: 1}"],
               "touching touching sliding sticking"),
     "lets go": (BALL, 0.4, [PRESS, "release: {frames: 3}"], "touching touching releasing apart apart"),
-    "slides, then turns": (BALL, 0.2, [PRESS, "slide: {x_mm: 1.5, frames: 1}", "twist: {angle_deg: 80, frames: 1}"],
-                           "touching touching sliding turning"),
+    "slides, then turns": (BALL, 0.2, [PRESS, "slide: {x_mm: 1.5, frames: 2}", "twist: {angle_deg: -80, frames: 1}"],
+                           "touching touching sliding sliding turning"),
     "slides without friction": (BALL, 0.0, [PRESS, "slide: {x_mm: 1, frames: 1}"], "touching touching touching"),
 }  # fmt: skip
 

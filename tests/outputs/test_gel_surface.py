@@ -7,14 +7,10 @@ import pytest
 from helpers.presses import Run, gel, poses, run, scene
 from helpers.small import patch
 
-from tacgen import mechanics
 from tacgen.fem.elements import facet_areas
-from tacgen.fem.materials import NeoHooke
 from tacgen.fem.stress_recovery import FULL
 from tacgen.geometry.analytic_sdf import SphereSdf
-from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import mesh
 from tacgen.mechanics.barrier import Faces
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Sheet
@@ -63,22 +59,6 @@ def maps(pressed: Run, surface: gel_surface.GelSurface, camera: PinholeCamera) -
     return [maps_of(pressed.problem, surface.moved(s.x), s, camera) for s in pressed.states]
 
 
-def test_signs(pressed: Run, maps: list[Maps]) -> None:
-    """z is out of the gel toward the indenter: a press pushes the gel along -z, a slide along +x drags it along +x."""
-    press, slid = pressed.forces[PRESSED], pressed.forces[SLID]
-    assert press[2] < -0.3
-    assert np.abs(press[:2]).max() < 0.02 * -press[2]
-    assert slid[2] < -0.3
-    assert slid[0] > 0.2 * -slid[2]
-    assert abs(slid[1]) < 0.02 * slid[0]
-    for found in maps:
-        assert found.pressure.min() >= 0
-        assert found.pressure.max() > 0.02
-        assert found.force[..., 2].sum() < 0
-    assert maps[SLID].traction[..., 0].sum() > 0
-    assert pressed.states[SLID].x[:, 2].min() < -0.6
-
-
 def test_maps_keep_the_resultants(pressed: Run, maps: list[Maps]) -> None:
     for state, force, found in zip(pressed.states, pressed.forces, maps, strict=True):
         size = float(np.linalg.norm(force))
@@ -96,54 +76,6 @@ def test_maps_keep_the_resultants(pressed: Run, maps: list[Maps]) -> None:
     )  # the sizes are kept, and so the sum on this coarse mesh is not
 
 
-def test_maps_are_where_the_ball_is(pressed: Run, maps: list[Maps], camera: PinholeCamera) -> None:
-    """x to the right, y down in the image."""
-    rows, columns = np.indices(camera.shape) + 0.5
-    for path, found in zip(PATH, maps, strict=True):
-        weight = found.pressure * found.area
-        centre = np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
-        below = camera.project(np.array([[path[0], path[1], path[2]]]))[0]
-        assert centre == pytest.approx(below, abs=6)  # pixels, of .06 mm
-        assert below[0] > camera.shape[1] / 2
-        assert below[1] < camera.shape[0] / 2
-
-
-def test_the_contact_mask_lies_within_the_pressure(maps: list[Maps]) -> None:
-    """Nodal forces are spread over the cells around a node, so some pressure reaches past the rim."""
-    for found, least in zip(maps, (0.65, 0.72, 0.72), strict=True):
-        assert found.contact.any()
-        assert (found.pressure[found.contact] > 0).all()
-        held = (found.pressure * found.area)[found.contact].sum() / (found.pressure * found.area).sum()
-        assert least < held <= 1.0
-        assert not (found.slip & ~found.contact).any()
-    areas = [(found.area * found.contact).sum() for found in maps]
-    assert areas[1] > 1.5 * areas[0]
-    assert maps[SLID].slip.sum() > 0.5 * maps[SLID].contact.sum()
-    assert maps[PRESSED].slip.sum() < 0.5 * maps[PRESSED].contact.sum()
-
-
-def test_no_pixel_shows_more_friction_than_coulomb_allows(maps: list[Maps]) -> None:
-    for found in maps:
-        size = np.linalg.norm(found.traction, axis=-1)
-        assert (size <= COEFFICIENT * (found.pressure + 1e-3 * found.pressure.max())).all()
-
-
-def test_area_is_that_of_the_face_behind_a_pixel(maps: list[Maps], camera: PinholeCamera) -> None:
-    """Against rays through the corners of the pixels, met with the plane of the face."""
-    h, w = camera.shape
-    columns, rows = np.meshgrid(np.arange(w + 1.0), np.arange(h + 1.0))
-    origins, rays = camera.rays(np.stack([columns, rows], -1).reshape(-1, 2))
-    met = (origins - rays * (origins[:, 2:] / rays[:, 2:]))[:, :2].reshape(h + 1, w + 1, 2)
-    right, down = met[:-1, 1:] - met[:-1, :-1], met[1:, :-1] - met[:-1, :-1]
-    flat = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
-    away = np.s_[-30:, :30]
-    # one figure for each cell, 3 mm wide here, over which refraction changes a pixel's area by 11 %
-    assert maps[PRESSED].area[away] == pytest.approx(flat[away], rel=0.12)
-    assert maps[PRESSED].area.min() > 0
-    assert maps[0].area.sum() / flat.sum() == pytest.approx(1.003, abs=0.01)
-    assert maps[SLID].area.sum() > maps[0].area.sum()  # a dent is longer than what it is pressed into
-
-
 def test_torque_is_about_the_origin() -> None:
     """Without friction every force on a ball passes through its middle, so the torque is that of the force there."""
     found = run(scene(SphereSdf(2.5), poses([(1.0, -0.6, -0.4)]), pad=gel(10, 10, 2)))
@@ -152,14 +84,6 @@ def test_torque_is_about_the_origin() -> None:
     assert torque[0] == pytest.approx(-0.6 * force[2], abs=0.05 * -force[2])
     assert torque[1] == pytest.approx(-1.0 * force[2], abs=0.05 * -force[2])
     assert abs(torque[1]) > 0.05
-
-
-def test_the_height_of_an_untouched_face_is_zero(
-    surface: gel_surface.GelSurface, mini: Sensor, camera: PinholeCamera
-) -> None:
-    z = camera_maps.View(Sheet.over(mini.gel, 0.2), surface, camera).height()
-    assert z.shape == camera.shape
-    assert z == pytest.approx(np.zeros(camera.shape), abs=1e-12)
 
 
 def test_the_height_of_a_dent_follows_the_ball(
@@ -204,27 +128,6 @@ def test_a_surface_is_smooth_across_its_cells(surface: gel_surface.GelSurface, p
 
     assert np.abs(slopes(1)).max() > 0.3
     assert slopes(1) == pytest.approx(slopes(-1), abs=5e-3)
-
-
-def test_the_stress_of_a_uniform_state_is_exact() -> None:
-    """Two layers, each uniformly strained: every node has its outermost layer's stress, no average of the two."""
-    laws = NeoHooke(0.05, 0.6), NeoHooke(0.5, 3.0)
-    pad = GelBody(4.0, 4.0, layers=tuple(GelLayer(t, law, 0.15) for t, law in zip((1.5, 0.7), laws, strict=True)))
-    made = scene(SphereSdf(1.0), poses([(0, 0, -0.1)]), pad=pad, edge=0.8)
-    grid = mesh.build(pad, (-1, 1, -1, 1), 0.8)
-    problem = mechanics.Problem.of(made, grid)
-    F = np.array([[1.2, 0.1, 0.05], [0.0, 0.9, -0.1], [0.1, 0.0, 1.05]])
-    found = Stresses(problem).at(grid.points @ F.T)
-    J, b = np.linalg.det(F), F @ F.T
-    expected = []
-    for law in laws:
-        sigma = law.mu * J ** (-5 / 3) * (b - np.trace(b) / 3 * np.eye(3)) + law.kappa / 2 * (J - 1 / J) * np.eye(3)
-        expected.append([sigma[0, 0], sigma[1, 1], sigma[2, 2], sigma[1, 2], sigma[0, 2], sigma[0, 1]])
-    assert np.abs(np.array(expected)).min() > 1e-4
-    assert found.element == pytest.approx(np.array(expected)[grid.layer], abs=1e-12)
-    outer = (grid.points[:, 2] > -0.7 - 1e-9).astype(int)
-    assert 0 < outer.sum() < len(outer)
-    assert found.node == pytest.approx(np.array(expected)[outer], abs=1e-12)
 
 
 @pytest.mark.parametrize("along", [3, 4])
@@ -325,26 +228,10 @@ def test_a_face_in_contact_is_the_balls_own(
     assert np.array_equal(surface.pressed(pressed.problem, state).at(middle + out), plain.at(middle + out))
 
 
-def test_the_tangents_of_a_face() -> None:
-    rng = np.random.default_rng(0)
-    n = rng.normal(size=(50, 3))
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
-    n[:2] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
-    axes = np.stack([*tangents(n), n], 1)
-    assert axes @ axes.swapaxes(1, 2) == pytest.approx(np.broadcast_to(np.eye(3), (50, 3, 3)), abs=1e-12)
-    assert np.linalg.det(axes) == pytest.approx(np.ones(50))
-    assert axes[0] == pytest.approx(np.eye(3))
-
-
-def test_sliding_cells_have_all_the_friction_there_can_be(pressed: Run, maps: list[Maps]) -> None:
+def test_sliding_cells_have_all_the_friction_there_can_be(maps: list[Maps]) -> None:
     """|t| = friction x pressure where all points slide, as nearly as friction knows the normal forces (advance.LAG)."""
     found = maps[SLID]
-    size = np.linalg.norm(found.traction, axis=-1)
     full = (found.sliding > 1 - 1e-9) & (found.pressure > 0)
     assert full.sum() > 500
-    allowed = 1e-3 * COEFFICIENT * found.pressure.max()
-    assert np.abs(size - COEFFICIENT * found.pressure)[full].max() < allowed
-    found = maps[PRESSED]
-    stuck = (found.sliding == 0) & (found.pressure > 0.2 * found.pressure.max())
-    assert stuck.sum() > 100
-    assert (np.linalg.norm(found.traction, axis=-1) < 0.9 * COEFFICIENT * found.pressure)[stuck].mean() > 0.9
+    off = np.abs(np.linalg.norm(found.traction, axis=-1) - COEFFICIENT * found.pressure)[full]
+    assert off.max() < 1e-3 * COEFFICIENT * found.pressure.max()

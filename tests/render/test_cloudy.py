@@ -248,24 +248,6 @@ def test_sampling_directions_toward_leds_changes_only_the_noise_of_a_gel_that_sc
 
 
 @pytest.mark.slow
-def test_roulette_would_add_noise_to_a_gel_that_scatters(monkeypatch) -> None:
-    """Mitsuba's ends one path in twenty at each vertex, also paths that carry all their light."""
-    base = sensor().gel.layers[0]
-    dense = base.scattering.model_copy(update={"extinction_per_mm": 3.0, "albedo": (0.99,) * 3})
-    layers = (base.model_copy(update={"scattering": dense}), *sensor().gel.layers[1:])
-    milky = sensor().model_copy(update={"gel": sensor().gel.model_copy(update={"layers": layers})})
-    chosen, noise, light = mitsuba_path.integrator(milky), [], []
-    for how in (chosen, {**chosen, "rr_depth": 12}):
-        monkeypatch.setattr(mitsuba_path, "integrator", lambda _, how=how: how)
-        tracer = PathTracer(milky, Sheet.over(milky.gel, 1.0), False, mitsuba_variants.SCALAR)
-        pictures = np.array([tracer.radiance(FACE, 16, k) for k in range(6)])
-        noise.append(np.sqrt(pictures.var(0, ddof=1).mean()) / pictures.mean())
-        light.append(pictures.mean())
-    assert noise[1] > 1.15 * noise[0]
-    assert light[1] == pytest.approx(light[0], rel=0.02)
-
-
-@pytest.mark.slow
 def test_a_gel_that_scatters_looks_the_same_by_a_third_of_the_nodes_and_without_normals(monkeypatch) -> None:
     own, fine = mitsuba_path.mesh, Sheet.over(sensor().gel, mitsuba_path.SPACING)
 

@@ -10,13 +10,10 @@ from helpers.presses import Run, run
 
 from tacgen.errors import UserError
 from tacgen.fem.elements import elements, facet_areas
+from tacgen.fem.mesh_quality import scaled_jacobian
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
-from tacgen.optics.camera import PinholeCamera
-from tacgen.optics.surface_grid import Sheet
-from tacgen.outputs import camera_maps
-from tacgen.outputs.contact_maps import maps as maps_of
 from tacgen.recipe import assets, loading, scene_of_row, trajectory_checks
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
@@ -34,16 +31,6 @@ def row_of(sets: tuple[str, ...]) -> Row:
 
 def solved(sets: tuple[str, ...]) -> Run:
     return run(scene_of_row.build(row_of(sets)))
-
-
-def scaled_jacobian(points: Array, cells: Array) -> Array:
-    """The least over the corners of a hex of the triple product of the unit edges that meet there (e,)."""
-    ends = [(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)]
-    x, found = points[cells], []
-    for corner, others in enumerate(ends):
-        edges = x[:, others] - x[:, [corner]]
-        found.append(np.linalg.det(edges / np.linalg.norm(edges, axis=2, keepdims=True)))
-    return np.min(found, axis=0)
 
 
 @pytest.fixture(scope="module")
@@ -135,30 +122,6 @@ def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float
     face = np.column_stack([x.ravel(), y.ravel(), made.gel.top(x, y).ravel() + clearance])
     gap = made.shape.distance(Pose.of(made.start).local(face))[0].min()
     assert -1e-5 < gap < 5e-4  # this grid misses the place a little
-
-
-@pytest.mark.slow
-def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -> None:
-    gel, state = pressed.scene.gel, pressed.states[-1]
-    surface, camera = pressed.face, PinholeCamera.from_sensor(digit)
-    xy = np.random.default_rng(1).uniform([-6, -8], [6, 8], (300, 2))
-    assert surface.at(xy)[:, :2] == pytest.approx(xy)
-    assert surface.at(xy)[:, 2] == pytest.approx(gel.top(*xy.T), abs=0.02)
-    sheet = Sheet.over(digit.gel, 0.1)
-    now = sheet.at(surface)
-    assert np.isfinite(now).all()  # at the round end too
-    assert gel.contains(*(sheet.pad.drawn_in(sheet.rest) * (1 - 1e-9)).T).all()
-    rest, z = (camera_maps.View(sheet, s, camera).height() for s in (surface, surface.moved(state.x)))
-    rows, columns = np.nonzero(np.isfinite(rest))
-    assert len(rows) == rest.size
-    origins, rays = camera.rays(np.column_stack([columns, rows]) + 0.5)
-    at = origins + rays * ((rest[rows, columns] - origins[:, 2]) / rays[:, 2])[:, None]
-    assert at[:, 2] == pytest.approx(gel.top(*at[:, :2].T), abs=0.02)
-    assert rest.max() == pytest.approx(0, abs=0.002)
-    assert rest.min() < -0.4
-    assert np.nanmin(z - rest) == pytest.approx(-1.0, abs=0.1)
-    maps = maps_of(pressed.problem, surface.moved(state.x), state, camera)
-    assert maps.pressure.max() > 0.02
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,11 @@
 """Lights in Mitsuba: their radiance by direction, the power they give off, what they cost, and which are sampled."""
 
-import time
-
 import numpy as np
 import pytest
 from helpers.tiny import PLAIN, sensor
 
-from tacgen.optics import camera_response, mitsuba_dicts
-from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics import mitsuba_dicts
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.recipe import assets, loading
 from tacgen.render import mitsuba_path, mitsuba_variants, traced_maps
 from tacgen.render.mitsuba_path import PathTracer, mitsuba, realise
 
@@ -54,69 +50,6 @@ def test_a_light_gives_off_the_power_of_its_lobe(lobe):
     mi, made = scene(lobe, ball=ball, integrator={"type": "volpath", "max_depth": 3})
     arrived = np.array(mi.render(made, spp=300_000, seed=1)).ravel() * 4 * np.pi
     assert arrived == pytest.approx(np.array(LIGHT) * SIZE[0] * SIZE[1] * 2 * np.pi / (lobe + 2), rel=0.03)
-
-
-def python_lobe(mi):
-    """The plain formula as an emitter, called for each ray."""
-
-    class Formula(mi.Emitter):
-        def __init__(self, props):
-            super().__init__(props)
-            self.lobe, self.light = int(props["lobe"]), mi.Color3f(*(props[c] for c in "rgb"))
-
-        def eval(self, si, active=True):
-            return self.light * max(mi.Frame3f.cos_theta(si.wi), 0.0) ** self.lobe
-
-        def sample_direction(self, it, sample, active=True):
-            nowhere = mi.DirectionSample3f()
-            nowhere.p, nowhere.d, nowhere.dist, nowhere.pdf = it.p, mi.Vector3f(0, 0, 1), 1.0, 0.0
-            return nowhere, mi.Color3f(0.0)
-
-        def pdf_direction(self, it, ds, active=True):
-            return mi.Float(0.0)
-
-    return Formula
-
-
-@pytest.mark.parametrize("name", ["gelsight_mini", "digit"])
-def test_pictures_are_those_of_the_formula(name, monkeypatch):
-    """With the same random numbers, so the difference has no noise: PSNR of the pictures, and mean light."""
-    made = traced_maps.zoomed(loading.read_sensor(assets.sensor_path(name))[0], 40)
-    sheet, untouched = Sheet.over(made.gel, 0.4), Untouched.of(made.gel)
-
-    def plain(radiance, lobe):
-        return {"type": "formula", "lobe": lobe, **dict(zip("rgb", radiance, strict=True))}
-
-    def picture():
-        tracer = PathTracer(made, sheet, False, mitsuba_variants.SCALAR)
-        return tracer.radiance(BallDent(4.0, 1.5, face=untouched), 24, 1)
-
-    native = picture()
-    monkeypatch.setattr(mitsuba_dicts, "lobed", plain)
-    mi = mitsuba(mitsuba_variants.SCALAR)
-    mi.register_emitter("formula", python_lobe(mi))
-    formula = picture()
-    assert native.mean((0, 1)) == pytest.approx(formula.mean((0, 1)), rel=1e-4)
-    lights = [camera_response.expose(one, made.camera) for one in (native, formula)]
-    off = np.subtract(*(camera_response.encoded(light, made.camera) for light in lights))
-    assert -10 * np.log10(np.mean(off**2)) > 100  # dB
-
-
-@pytest.mark.slow
-def test_light_of_a_lobe_takes_no_longer_than_even_light():
-    """It took six times as long while each ray called Python."""
-    seconds = []
-    for lobe in (0, 8):
-        made = sensor(leds=[{**led, "lobe": lobe, "see_through": True} for led in PLAIN["leds"]])
-        tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR)
-        tracer.radiance(Untouched(), 1, 0)
-        tries = []
-        for k in range(3):
-            started = time.process_time()
-            tracer.radiance(Untouched(), 64, k)
-            tries.append(time.process_time() - started)
-        seconds.append(min(tries))
-    assert seconds[1] < 2.5 * seconds[0] + 0.02
 
 
 def test_only_even_lights_before_any_interface_are_sampled():
@@ -175,53 +108,3 @@ def test_paths_a_pixel_are_a_product_so_that_mitsuba_need_not_warn(spp, paths, c
     made = sensor()
     PathTracer(made, Sheet.over(made.gel, 2.0), False, mitsuba_variants.SCALAR).radiance(Untouched(), min(spp, 64), 0)
     assert capfd.readouterr() == ("", "")
-
-
-def test_pictures_are_the_same_at_any_thread_count():
-    import drjit as dr
-
-    made = lit(3)
-    tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR)
-    before, pictures = dr.thread_count(), []
-    try:
-        for threads in (1, 2, 3):
-            dr.set_thread_count(threads)
-            pictures.append(tracer.radiance(Untouched(), 12, 5))
-    finally:
-        dr.set_thread_count(before)
-    assert pictures[0].max() > 0
-    assert np.array_equal(pictures[0], pictures[1])
-    assert np.array_equal(pictures[0], pictures[2])
-
-
-def test_a_rectangle_is_mitsubas_own_without_texture_coordinates() -> None:
-    mi, node = mitsuba(mitsuba_variants.SCALAR), mitsuba_dicts.lights(lit(0))["led_0"]
-    turned = mi.ScalarTransform4f(node["to_world"].tolist())
-    own, made = mi.load_dict({"type": "rectangle", "to_world": turned}), realise(mi, node)
-    assert (made.has_vertex_texcoords(), made.has_vertex_normals()) == (False, False)
-    assert made.surface_area() == pytest.approx(own.surface_area()) == pytest.approx(SIZE[0] * SIZE[1])
-    assert np.ravel([made.bbox().min, made.bbox().max]) == pytest.approx(
-        np.ravel([own.bbox().min, own.bbox().max]), abs=1e-6
-    )
-    scenes = [mi.load_dict({"type": "scene", "shape": one}) for one in (own, made)]
-    away = np.array(mitsuba_dicts.frame(PLACE["normal"], [0, 0, 1])[:, 2])
-    ray = mi.Ray3f(mi.Point3f((PLACE["center_mm"] + away).tolist()), mi.Vector3f((-away).tolist()))
-    normals = [np.array(one.ray_intersect(ray).n) for one in scenes]
-    assert normals[1] == pytest.approx(away, abs=1e-6)
-    assert normals[1] == pytest.approx(normals[0], abs=1e-6)
-    assert made.emitter() is not None
-
-
-@pytest.mark.slow
-def test_texture_coordinates_of_the_face_keep_its_stratified_directions_stratified(monkeypatch) -> None:
-    """They turn the frame in which directions are sampled; without, each triangle has a frame of its own."""
-    own, noise = mitsuba_path.mesh, []
-    for kept in (True, False):
-        tracer = PathTracer(sensor(), Sheet.over(sensor().gel, 0.1), False, mitsuba_variants.SCALAR)
-        shapes = tracer._scene.shapes()
-        assert {shape.id() for shape in shapes if shape.has_vertex_texcoords()} == ({"face"} if kept else set())
-        assert {shape.id() for shape in shapes if shape.has_vertex_normals()} == {"face"}
-        pictures = np.array([tracer.radiance(Untouched(), 64, k) for k in range(4)])
-        noise.append(np.sqrt(pictures.var(0, ddof=1).mean()))
-        monkeypatch.setattr(mitsuba_path, "mesh", lambda *parts, smooth=False: own(*parts[:4], smooth=smooth))
-    assert noise[1] > 1.05 * noise[0]

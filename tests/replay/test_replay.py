@@ -165,21 +165,6 @@ def test_several_logs_are_scenes(world: World, recipe: Path, tmp_path: Path) -> 
     assert planned.rows[0].recipe.uncertainty is not None
 
 
-def test_another_replay_in_the_folder_is_not_replaced(world: World, recipe: Path, tmp_path: Path) -> None:
-    log, how = world.save(tmp_path / "log.npz"), Conventions("tacgen", "xyzw", "m")
-    replay.prepare([log], str(recipe), tmp_path / "out", how, replay.Choice())
-    with pytest.raises(UserError, match=r"log-00000.csv: is there already; --overwrite replaces it"):
-        replay.prepare([log], str(recipe), tmp_path / "out", how, replay.Choice(every=2))
-    made = replay.prepare([log], str(recipe), tmp_path / "out", how, replay.Choice(every=2), overwrite=True)
-    assert len(made.logs[0]) == 3
-    with pytest.raises(UserError, match=r"recipe.yaml: is an input of this command"):
-        replay.prepare([log], str(made.recipe), tmp_path / "out", how, replay.Choice(), overwrite=True)
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "forces.csv").write_text("mine")
-    with pytest.raises(UserError, match=r"forces.csv: is there already; --overwrite replaces it"):
-        replay.prepare([log], str(recipe), tmp_path / "other", how, replay.Choice())
-
-
 def test_recipes_that_no_log_fits(world: World, recipe: Path, tmp_path: Path) -> None:
     log = world.save(tmp_path / "log.npz")
     for sets, says in (

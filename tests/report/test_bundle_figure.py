@@ -144,7 +144,7 @@ def test_a_folder_of_one_scene_is_drawn_and_of_several_is_asked_about(tmp_path: 
     assert f"{tmp_path}: holds 2 bundles; draw one, such as {tmp_path}/scene-00000.h5, or all: tacgen" in done.stderr
 
 
-@pytest.mark.parametrize("stop", [0, 1, 5])
+@pytest.mark.parametrize("stop", [0, 1])
 def test_a_rejected_scene_says_so(tmp_path: Path, stop: int) -> None:
     bundle = write(tmp_path / "x.h5", stop=stop)
     assert f"rejected: frame {stop} of 12: Newton's method stalled" in [

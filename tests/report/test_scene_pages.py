@@ -43,15 +43,6 @@ def test_a_folder_is_a_list_with_a_page_of_each_scene(folder: Path, tmp_path: Pa
     assert tacgen_("view", str(folder), "-o", str(out)).exit_code == 0, "its own pages are replaced"
 
 
-def test_a_page_that_somebody_changed_is_kept(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "list.html"
-    tacgen_("view", str(folder), "-o", str(out))
-    (tmp_path / "list_scenes/scene-00000.html").write_text("mine")
-    done = tacgen_("view", str(folder), "-o", str(out))
-    assert done.exit_code == 2
-    assert "is there already" in done.stderr
-
-
 def test_pictures_of_a_report_lead_to_the_frame_that_they_show(folder: Path) -> None:
     assert tacgen_("report", str(folder)).exit_code == 0
     links = re.findall(r'<a href="([^"#]+)#frame=(\d+)"><img', (folder / "report.html").read_text())

@@ -20,7 +20,6 @@ from typer.testing import CliRunner
 from tacgen import pipeline
 from tacgen.bundle.bundle import read
 from tacgen.cli import app
-from tacgen.fem.elements import boxes
 from tacgen.recipe import plan
 from tacgen.report import viewer
 from tacgen.report.plane_cut import boundary
@@ -84,14 +83,6 @@ def test_the_page_asks_for_no_file_and_names_are_text(tmp_path: Path) -> None:
     assert not re.findall(r"https?:|//\w+\.|\bfetch|\bimport|XMLHttp|innerHTML", script)
     assert re.findall(r"\.src = (.{6})", script) == ["`data:"]
     assert data(tmp_path / "x.html")["bundles"][0]["name"] == f"{name}, x"
-
-
-def test_the_outside_of_a_block() -> None:
-    """2 x 3 x 4 hexes: 2 (2 * 3 + 3 * 4 + 2 * 4) facets, 3 x 4 x 5 nodes less the 1 x 2 x 3 within."""
-    cells = boxes(np.arange(60).reshape(3, 4, 5))
-    facets = boundary(cells.reshape(-1, 8))
-    assert facets.shape == (52, 4)
-    assert len(np.unique(facets)) == 60 - 6
 
 
 def test_long_scenes_are_thinned_and_empty_ones_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
