@@ -7,11 +7,10 @@ import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -126,15 +125,6 @@ def test_a_few_kills(source: Path) -> None:
     assert [str(a) for a in found if a.outcome != "accepted"] == []
 
 
-@pytest.fixture
-def alarm() -> Iterator[None]:
-    """HDF5 does not return from its own loops; only a signal's default action ends such a test."""
-    signal.alarm(60)
-    yield
-    signal.alarm(0)
-
-
-@pytest.mark.usefixtures("alarm")
 def test_a_zeroed_heap_of_strings_is_refused(tmp_path: Path) -> None:
     """HDF5 1.14 never returns from an unused piece without a length."""
     path = write(tmp_path / "scene.h5", outputs=frozenset({"force"}))
@@ -144,8 +134,8 @@ def test_a_zeroed_heap_of_strings_is_refused(tmp_path: Path) -> None:
         data[at + 16 : at + 200] = bytes(184)
         at = data.find(b"GCOL", at + 4)
     path.write_bytes(data)
-    with pytest.raises(UserError, match="damaged"):
-        read(path)
+    # in a child, since only a signal's default action ends a loop of HDF5's
+    assert attempts.contained(lambda: str(read(path)), tmp_path / "note") == "refused"
 
 
 def test_a_bundle_in_another_s_place_is_found(source: Path, tmp_path: Path) -> None:
