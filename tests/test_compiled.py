@@ -95,6 +95,7 @@ for fast in map(int, sys.argv[1:]):
 """
 
 
+@pytest.mark.slow
 def test_arithmetic_is_a_functions_own_whatever_was_compiled_before():
     """Numba compiles its own powers, and what functions call, once: with the arithmetic of the first caller."""
     found = [

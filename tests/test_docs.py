@@ -237,6 +237,7 @@ def test_the_gallery_has_every_shape_object_movement_and_sensor() -> None:
     assert sum(file.stat().st_size for file in (DOCS / "gallery").iterdir()) < 4e6
 
 
+@pytest.mark.slow
 def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path: Path) -> None:
     folder = tmp_path / "bundles" / "digit"
     folder.mkdir(parents=True)

@@ -153,7 +153,10 @@ def tacgen(folder: Path, *args: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("name", TOYS)
+LONG = ("output", "law", "sensor")  # each a copy of the package in processes of its own
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in TOYS])
 def test_a_new_thing_touches_as_few_files_as_the_page_says(tmp_path: Path, name: str) -> None:
     toy = TOYS[name]
     assert extended(tmp_path, name) == toy.files

@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -139,6 +138,7 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(text_of(path))
 
 
+@cache
 def imports(path: Path, hints: bool = False) -> list[tuple[str, bool]]:
     """(module, whether at module level) of every import; those for type checkers only if `hints` are asked for."""
     found: list[tuple[str, bool]] = []
@@ -295,11 +295,11 @@ def test_no_two_public_classes_share_a_name() -> None:
     assert [name for name in names if names.count(name) > 1 and not name.startswith("_")] == []
 
 
-def calls(path: Path) -> Iterator[tuple[ast.Call, str]]:
+@cache
+def calls(path: Path) -> list[tuple[ast.Call, str]]:
     """The calls in a module, each with the name that is called: `open`, `os.open`, `path.write_text`."""
-    for node in ast.walk(tree(path)):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
-            yield node, ast.unparse(node.func)
+    nodes = (node for node in ast.walk(tree(path)) if isinstance(node, ast.Call))
+    return [(node, ast.unparse(node.func)) for node in nodes if isinstance(node.func, ast.Attribute | ast.Name)]
 
 
 def access(path: Path) -> tuple[set[str], set[str]]:

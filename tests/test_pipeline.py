@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.load_steps import watched
-from scipy.ndimage import map_coordinates
 from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
@@ -355,24 +354,6 @@ def test_a_scene_without_contact_is_ok_if_it_may_miss_alone(recipe: Path, tmp_pa
         assert (kept.status, kept.reason, kept.seconds) == (done.status, done.reason, {})
 
 
-@pytest.mark.slow
-def test_pairs_bear_the_same_force(tmp_path: Path) -> None:
-    """Within .5 % of each other in every frame of a press by force, whatever the gel."""
-    recipe = tmp_path / "pairs.yaml"
-    recipe.write_text(
-        "{tacgen: 1, name: pairs, sensors: [gelsight_mini, digit, ninedtact], indenter: {shape: sphere, radius_mm: 4},"
-        " trajectory: [press: {force_n: 1.2, frames: 2}], outputs: [force], quality: draft}"
-    )
-    made = [bundle.read(result.path) for result in pipeline.run(plan.load(recipe).rows, tmp_path)]
-    assert [scene.attrs["pair"] for scene in made] == [0, 0, 0]
-    assert [scene.attrs["sensor"] for scene in made] == ["gelsight_mini", "digit", "ninedtact"]
-    forces = np.array([-scene["/frames/force"][:, 2] for scene in made])
-    assert (np.ptp(forces, axis=0) <= 0.005 * forces.mean(0)).all(), forces
-    assert forces.mean(0) == pytest.approx([0.6, 1.2], rel=0.003)
-    depths = [-scene["/frames/pose"][-1, 2, 3] for scene in made]
-    assert np.ptp(depths) > 0.05  # the gels are not alike
-
-
 def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> None:
     """As on a solid, of which the recipe's checks know the box alone."""
     row = plan.load(recipe, ["outputs=[markers]"]).rows[0]
@@ -381,41 +362,6 @@ def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> No
     row = replace(row, sensor=row.sensor.model_copy(update={"markers": wide}))
     with pytest.raises(UserError, match="some markers of gelsight_mini lie beside the gel's face"):
         pipeline.run_scene(row, tmp_path / "out")
-
-
-@pytest.mark.slow
-def test_hexagonal_markers_are_where_the_image_shows_dots_and_move_with_the_flow(recipe: Path, tmp_path: Path) -> None:
-    text = assets.sensor_path("gelsight_mini").read_text()
-    grid = "  columns: 9\n  rows: 7\n  pitch_mm: [2.0, 1.94]\n"
-    assert grid in text
-    (tmp_path / "hexagonal.yaml").write_text(text.replace(grid, "  layout: hexagonal\n  rings: 3\n  pitch_mm: 2.0\n"))
-    recipe.write_text(RECIPE.replace("gelsight_mini", "hexagonal.yaml"))
-    row = plan.load(recipe, ["outputs=[force, markers, flow, rgb]", "render.noise=false"]).rows[0]
-    dotted = bundle.read(pipeline.run_scene(row, tmp_path / "dotted").path)
-    bare = replace(row, sensor=row.sensor.model_copy(update={"markers": None}))
-    bare = replace(bare, recipe=row.recipe.model_copy(update={"outputs": frozenset({"rgb"})}))
-    plain = bundle.read(pipeline.run_scene(bare, tmp_path / "plain").path)
-    at = dotted["/frames/markers"]
-    assert at.shape == (3, 37, 2)
-    assert dotted["/frames/marker_visible"].all()
-    assert check(dotted.path) == []
-
-    rest = dotted["/reference/markers"]
-    assert rest + rest[::-1] == pytest.approx(np.broadcast_to(2 * rest[18], rest.shape), abs=1e-3)  # 18: the middle one
-    y, x = np.indices(dotted["/frames/rgb"].shape[1:3]) + 0.5
-    for k in range(3):
-        dark = (plain["/frames/rgb"][k].astype(float) - dotted["/frames/rgb"][k]).sum(-1)
-        for place in at[k]:
-            weight = dark * (np.hypot(x - place[0], y - place[1]) < 12)  # less than half the 32 px between dots
-            centre = np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
-            assert centre == pytest.approx(place, abs=0.5)
-    assert np.abs(dark).sum() > 20_000  # of 37 dots with an area of 107 px each
-
-    flow = dotted["/frames/flow"][-1]
-    scale = flow.shape[1] / x.shape[1]
-    moved = [map_coordinates(flow[..., c], (scale * rest - 0.5).T[::-1], order=1) for c in (0, 1)]
-    assert np.stack(moved, -1) == pytest.approx(dotted["/frames/marker_flow"][-1], abs=0.05)
-    assert np.linalg.norm(dotted["/frames/marker_flow"][-1], axis=1).max() > 1
 
 
 COMPILED = """

@@ -38,16 +38,17 @@ TESTS = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = attempts.base(tmp_path_factory.mktemp("hostile"))
-    attempts.warm(made)
-    return made
+    return attempts.base(tmp_path_factory.mktemp("hostile"))
 
 
-LONG = {"bytes", "resealed", "special"}
-KINDS = sorted(MUTATIONS.keys() - {"inputs", "numbers", "logs"})
+@pytest.fixture(scope="module")
+def warm(source: Path) -> None:
+    attempts.warm(source)
 
 
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in LONG)) for kind in KINDS])
+@pytest.mark.slow
+@pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize("kind", sorted(MUTATIONS.keys() - {"inputs", "numbers", "logs"}))
 def test_a_few_of_each_kind(source: Path, kind: str) -> None:
     found = [attempts.attempt(kind, seed, source) for seed in range(INPUTS)]
     assert [str(a) for a in found if a.outcome not in attempts.GOOD] == []
@@ -117,6 +118,7 @@ def test_a_mesh_that_a_bundle_names_is_drawn_only_if_it_is_the_one_of_its_recipe
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_a_few_kills(source: Path) -> None:
     needs("webdataset")
     seeds = {kills.work(seed): seed for seed in reversed(range(40))}  # one of each work

@@ -213,6 +213,12 @@ def test_texts_may_be_bytes(tmp_path: Path, kind: str) -> None:
     assert log.body[0, 2, 3] == pytest.approx(6000.0)
 
 
+@pytest.mark.parametrize("row", ["0,0,0,1,1,0,0,0,0,0,1e308", "1e308,0,0,1,1,0,0,0,0,0,0", "0,0,0,\0,1,0,0,0,0,0,0"])
+def test_tables_of_numbers_beyond_use_are_refused(tmp_path: Path, row: str) -> None:
+    (tmp_path / "log.csv").write_text(f"{attempts.LOG_TABLE.splitlines()[0]}\n{row}\n")
+    refused(tmp_path / "log.csv", tmp_path / "note", Conventions())
+
+
 def test_a_nul_is_no_text_in_any_table(tmp_path: Path) -> None:
     (tmp_path / "presses.csv").write_bytes(b"file,force_n\npress\0.png,1\n")
     wrong: list[str] = []

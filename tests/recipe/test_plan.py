@@ -229,6 +229,8 @@ def test_a_grid_is_the_product_with_the_last_varying_fastest(tmp_path: Path):
         ("trajectory[0]", "trajectory[7]",
          "batch.yaml:9:5: scene-00000: trajectory[7].press.frames: [7] is past the end"),
         ("youngs_modulus_mpa: {loguniform: [0.05", "poissons_ratio: {loguniform: [0.49", "batch.yaml:11:5: scene-0000"),
+        ("gel.layers[0].youngs_modulus_mpa: {loguniform: [0.05, 0.5]}", "leds[0].center_mm[1]: {uniform: [-15, -13]}",
+         "batch.yaml:11:5: scene-00000: sensor.leds[0].center_mm: red: pokes out of the housing, at ("),
         ("youngs_modulus_mpa", "yongs_modulus_mpa",
          "batch.yaml:11:5: scene-00000: sensor.gel.layers[0].yongs_modulus_mpa"),
     ],
