@@ -3,7 +3,6 @@
 import gc
 import json
 import os
-import pickle
 import re
 import subprocess
 import sys
@@ -20,16 +19,15 @@ from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
 from tacgen import mechanics, outputs, pipeline
-from tacgen.bundle import bundle, journal, run_status
+from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.mechanics import cost_note, mesh
 from tacgen.mechanics.condensation import Condensation
 from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
-from tacgen.recipe import assets, plan, plan_table, scene_of_row
+from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.row import NOISE
-from tacgen.report import dataset_card
 from tacgen.stage_clock import Clock
 
 ROOT = Path(__file__).parent.parent
@@ -304,23 +302,6 @@ def test_the_stages_of_a_scene_account_for_all_its_time(
     seconds = pipeline.run_scene(row, tmp_path).seconds
     assert sum(seconds.values()) == pytest.approx(next(read) - begin - 3, abs=1e-3)  # before, between and after stages
     assert seconds.keys() >= {"start", "mesh", "solve", "fields", "bundle"}
-
-
-def test_a_result_holds_its_bundle_which_the_card_need_not_open(
-    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, out = plan.load(recipe, ["quality.edge_mm=1.2", "outputs=[force]"]), tmp_path / "out"
-    out.mkdir()
-    journal.write_plan(plan_table.as_json(made), out, None)
-    for _ in ("made", "kept"):
-        (done,) = pipeline.run(made.rows, out)
-        assert done.bundles == (bundle.read(done.path),)
-    (back,) = pickle.loads(pickle.dumps(done.bundles))
-    assert back == done.bundles[0]
-    assert back.attrs["sensor_document"] is done.bundles[0].attrs["sensor_document"]  # 4 kB that many scenes share
-    card = dataset_card.write(out).read_text()
-    monkeypatch.setattr(run_status, "read", lambda path: pytest.fail("opened again"))
-    assert dataset_card.write(out, [back]).read_text() == card
 
 
 def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> None:

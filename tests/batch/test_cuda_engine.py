@@ -1,6 +1,5 @@
 """Runs with the batch engine, here on PyTorch's CPU backend: bundles, what falls back, what is left behind."""
 
-import subprocess
 import sys
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -257,22 +256,6 @@ def test_solutions_that_a_killed_run_has_left_are_not_used(on_cpu: None, tmp_pat
     solution_file.write(left, SolvedScene("", why="of another recipe"))
     batch.run(made, out, engine="cuda")
     assert "of another recipe" not in read(out / "scene-00000.h5").attrs.get("notes", "")
-
-
-def test_scenes_are_planned_without_pytorch(tmp_path: Path) -> None:
-    """Its import takes seconds in each process."""
-    planned(tmp_path)
-    code = """
-import sys
-from pathlib import Path
-from tacgen.batch import cuda_engine
-from tacgen.recipe import plan
-(row,) = plan.load(Path(sys.argv[1])).rows
-assert cuda_engine._planned((0, row)).pattern
-assert "torch" not in sys.modules
-"""
-    done = subprocess.run([sys.executable, "-c", code, tmp_path / "few.yaml"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(("gpus", "chosen"), [(0, None), (1, "cuda:0"), (2, "cuda:1")])
