@@ -159,6 +159,7 @@ def test_a_plan_s_cost(timed: None):
         (("list", "shape"), "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes"),
         (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
         (("show", "no.h5"), "no.h5: No such file"),
+        (("run", "quickstart", "-o", "x", "--ovrwrite"), "No such option"),
         (("run", "quickstart", "-o", "x", "--shard", "4/4"), "--shard 4/4: must be I/N with I from 0 to N - 1"),
         (("run", "quickstart", "-o", "x", "--shard", "0/99999999999999999999"), "must be I/N with I from 0 to N - 1"),
         (("run", "quickstart", "-o", "x", "--shard", f"0/{5000 * '9'}"), "must be I/N with I from 0 to N - 1"),
