@@ -97,6 +97,7 @@ def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: st
         ("{shape: cylinder, radius_mm: 0.1}", "indenter", "fillet_mm: must be at most radius_mm, 0.1 (got 0.2)"),
         ("{shape: box, size_x_mm: 1, size_y_mm: 3, fillet_mm: 0.6}", "0.6", "fillet_mm: must be at most half the"),
         ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
+        ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
         ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5}", "indenter", "length_mm: is missing"),
         ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}", "0.9",
          "length_mm: must be at least twice"),
