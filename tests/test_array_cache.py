@@ -1,9 +1,6 @@
 """The cache gives what was made, or makes it again: never what a damaged or exchanged file holds. It never waits."""
 
 import os
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -53,24 +50,6 @@ def test_an_invalid_file_is_passed_over_at_once():
     file.unlink()
     file.mkdir()
     assert np.array_equal(again("pipe"), -MADE)
-
-
-def test_a_killed_writer_leaves_what_the_next_one_removes():
-    file = entry("killed")
-    file.unlink()
-    program = """
-import os, signal
-os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-import pathlib
-pathlib.Path.replace = os.replace
-import numpy as np
-from tacgen import array_cache
-array_cache.kept_one("kind", "killed", lambda: np.arange(6.0))
-"""
-    assert subprocess.run([sys.executable, "-c", program]).returncode == -signal.SIGKILL
-    assert [path for path in file.parent.iterdir() if "part" in path.name]
-    assert np.array_equal(again("killed"), -MADE)
-    assert not [path for path in file.parent.iterdir() if "part" in path.name]
 
 
 def test_what_has_to_be_made_is_told_before():

@@ -2,18 +2,14 @@
 
 import csv
 import errno
-import inspect
 import io
 import json
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
-import click
 import pytest
-import typer
 from typer.testing import CliRunner, Result
 
 import tacgen.batch
@@ -21,7 +17,6 @@ from tacgen import cli
 from tacgen.batch.local import outcome
 from tacgen.batch.probe import PlanCost
 from tacgen.bundle.resume import SceneResult
-from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, plan, schema
 from tacgen.report import dataset_card
 from tacgen.report.estimate import Made, cost
@@ -65,10 +60,8 @@ def all_ok(plan: Any, folder: Path, *, on_event: Callable[[dict[str, Any]], None
     return results
 
 
-def test_version_and_help():
+def test_the_version_is_told():
     assert tacgen_("--version").stdout == f"tacgen {tacgen.__version__}\n"
-    for args in (("--help",), ("run", "--help"), ("plan", "-h")):
-        assert tacgen_(*args).exit_code == 0
 
 
 def test_run_says_progress_on_stderr_and_the_outcome_on_stdout(tmp_path: Path, batch: Any):
@@ -160,20 +153,13 @@ def test_a_plan_s_cost(timed: None):
     [
         (("run", "recpie", "-o", "x"), "no recipe is called 'recpie'"),
         (("run", "no/such.yaml", "-o", "x"), "no/such.yaml: no such recipe file"),
-        (("run", "quickstart", "-o", "x", "--set", "indenter.radius_mm=-3"), "--set indenter.radius_mm=-3: indenter."),
         (("run", "quickstart", "-o", "x", "--set", "sensor=digot"), "--set sensor=digot: sensor: no sensor is called"),
         (("validate", str(ROOT)), "is a folder, not a file"),
-        (("validate", str(ROOT / "no.yaml")), "no such recipe file"),
         (("run", "quickstart", "-o", "x", "--workers", "0"), "--workers 0: must be a number from 1, or auto"),
-        (
-            ("list", "shape"),
-            "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes, ",
-        ),
+        (("list", "shape"), "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes"),
         (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
         (("show", "no.h5"), "no.h5: No such file"),
-        (("run", "quickstart"), "Missing option"),
         (("run", "quickstart", "-o", "x", "--ovrwrite"), "No such option"),
-        (("runn",), "No such command"),
         (("run", "quickstart", "-o", "x", "--shard", "4/4"), "--shard 4/4: must be I/N with I from 0 to N - 1"),
         (("run", "quickstart", "-o", "x", "--shard", "0/99999999999999999999"), "must be I/N with I from 0 to N - 1"),
         (("run", "quickstart", "-o", "x", "--shard", f"0/{5000 * '9'}"), "must be I/N with I from 0 to N - 1"),
@@ -192,14 +178,6 @@ def test_a_mistake_is_exit_code_2_and_lines_on_stderr(args: tuple[str, ...], say
     assert done.stdout == ""
 
 
-def test_binary_junk_is_one_line(tmp_path: Path):
-    path = tmp_path / "recipe.yaml"
-    path.write_bytes(bytes(range(256)))
-    done = tacgen_("run", str(path), "-o", str(tmp_path))
-    assert done.exit_code == 2
-    assert done.stderr == f"{path}: is not a text file (UTF-8)\n"
-
-
 @pytest.mark.parametrize("out", ["file", "file/below", "/proc/nowhere/out"])
 def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, batch: Any, out: str):
     batch(raising(AssertionError("found out only after solving")))
@@ -210,20 +188,11 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, bat
     assert "cannot be written: " in done.stderr
 
 
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES])
-def test_a_disk_that_fills_up_on_the_way_is_one_line(tmp_path: Path, batch: Any, code: int):
-    batch(raising(OSError(code, os.strerror(code))))
+def test_a_disk_that_fills_up_on_the_way_is_one_line(tmp_path: Path, batch: Any):
+    batch(raising(OSError(errno.ENOSPC, "No space left on device")))
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 2
-    assert done.stderr == f"{tmp_path}: cannot be written: {os.strerror(code)}\n"
-
-
-def test_what_the_pipeline_refuses_is_exit_code_2(tmp_path: Path, batch: Any):
-    lines = ["scene-00000.h5: was made from other inputs; --overwrite replaces it", "    second line"]
-    batch(raising(UserError(lines)))
-    done = tacgen_("run", "quickstart", "-o", str(tmp_path))
-    assert done.exit_code == 2
-    assert done.stderr.splitlines()[0].endswith("--overwrite replaces it")
+    assert done.stderr == f"{tmp_path}: cannot be written: No space left on device\n"
 
 
 def in_compiled_code(cause: BaseException) -> SystemError:
@@ -297,34 +266,15 @@ def test_validate_tells_recipes_and_sensors_apart(tmp_path: Path):
     assert "trajectory (a list), outputs" in tacgen_("validate", str(bad)).stderr
 
 
-def test_validate_finds_what_only_a_varied_scene_does_wrong():
-    spread = "{samples: 4, over: {indenter.radius_mm: {uniform: [-2, -1]}}}"
-    done = tacgen_("validate", "quickstart", "--set", f"vary={spread}")
-    assert done.exit_code == 2
-    assert "scene-00000: indenter.radius_mm: must be greater than 0" in done.stderr
-
-
 def test_plan_prints_text_csv_and_json():
     assert tacgen_("plan", "batch").stdout.splitlines()[0].split()[:3] == ["scene", "frames", "seed"]
     table = list(csv.DictReader(io.StringIO(tacgen_("plan", "batch", "--csv").stdout)))
     rows = plan.load(assets.recipe_path("batch")).rows
     assert [float(line["start.x_mm"]) for line in table] == [row.values["start.x_mm"] for row in rows]
     found = json.loads(tacgen_("plan", "batch", "--json").stdout)
-    assert [scene["key"] for scene in found["scenes"]] == [row.key for row in rows]
-
-
-def commands() -> list[click.Command]:
-    group = typer.main.get_command(cli.app)
-    assert isinstance(group, click.Group)
-    return [*group.commands.values()]
-
-
-@pytest.mark.parametrize("command", commands(), ids=lambda command: command.name)
-def test_help_says_what_each_argument_is(command: click.Command) -> None:
-    text = CliRunner().invoke(cli.app, [str(command.name), "--help"], env={"COLUMNS": "400"}).stdout
-    for name, hint in get_type_hints(inspect.unwrap(command.callback or print), include_extras=True).items():
-        for note in get_args(hint)[1:]:
-            assert str(note.help) in text, name
+    assert [(scene["key"], scene["values"]) for scene in found["scenes"]] == [(row.key, row.values) for row in rows]
+    long = tacgen_("plan", "batch", "--set", "vary.samples=50").stdout
+    assert long.splitlines()[-1] == "... 10 more (--csv prints all)"
 
 
 def test_init_writes_a_sensor_that_validates_and_renders_where_it_is_lit(tmp_path: Path) -> None:

@@ -11,14 +11,13 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import click
-import numpy as np
 import pytest
+import trimesh
 import typer
 from helpers.needs import needs
-from helpers.program import loaded
 from helpers.synthetic import attributes, write
 from typer.testing import CliRunner
 
@@ -112,7 +111,7 @@ def test_recipes_and_sensor_files_validate(page: Path, tmp_path: Path) -> None:
     for place, source in BROUGHT.items():
         (tmp_path / place).parent.mkdir(exist_ok=True)
         shutil.copy(source, tmp_path / place)
-    (tmp_path / "my_gel.stl").write_text("\n".join(stl_box(14, 14, 4)))
+    trimesh.creation.box(bounds=[[0, 0, 0], [14, 14, 4]]).export(tmp_path / "my_gel.stl")
     written = []
     for number, block in enumerate(blocks(page, "yaml")):
         if block.text.startswith(WHOLE):
@@ -136,26 +135,6 @@ def test_python_blocks_import_what_there_is(page: Path) -> None:
                 for imported in node.names:
                     if not hasattr(module, imported.name):
                         import_module(f"{node.module}.{imported.name}")
-
-
-def stl_box(*size: float) -> list[str]:
-    """A block of this size as an ASCII STL."""
-    lines = ["solid box"]
-    for axis in range(3):
-        others = [i for i in range(3) if i != axis]
-        for side in (0, 1):
-            corners = []
-            for a, b in ((0, 0), (1, 0), (1, 1), (0, 1)):
-                corner = [0.0, 0.0, 0.0]
-                corner[axis] = side * size[axis]
-                corner[others[0]], corner[others[1]] = a * size[others[0]], b * size[others[1]]
-                corners.append(" ".join(map(str, corner)))
-            if side == (axis == 1):
-                corners.reverse()
-            for face in ((0, 1, 2), (0, 2, 3)):
-                vertices = [f"vertex {corners[i]}" for i in face]
-                lines += ["facet normal 0 0 0", "outer loop", *vertices, "endloop", "endfacet"]
-    return [*lines, "endsolid box"]
 
 
 def anchors(page: Path) -> set[str]:
@@ -258,6 +237,7 @@ def test_the_gallery_has_every_shape_object_movement_and_sensor() -> None:
     assert sum(file.stat().st_size for file in (DOCS / "gallery").iterdir()) < 4e6
 
 
+@pytest.mark.slow
 def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path: Path) -> None:
     folder = tmp_path / "bundles" / "digit"
     folder.mkdir(parents=True)
@@ -272,35 +252,6 @@ def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path:
     for kind in ("press", "slide", "hold", "twist"):
         assert f"(gallery/digit-{kind}.webp)" in page
         assert (tmp_path / "gallery" / f"digit-{kind}.webp").stat().st_size > 5000
-
-
-@pytest.mark.slow
-def test_the_gallery_shows_pictures_by_both_methods_and_how_far_apart_they_are(tmp_path: Path) -> None:
-    def lighter(_: int, arrays: dict[str, Any]) -> None:
-        arrays["/frames/rgb"] = np.minimum(arrays["/frames/rgb"], 250) + 3
-
-    for folder in ("bundles/digit", "traced/digit"):
-        (tmp_path / folder).mkdir(parents=True)
-    write(tmp_path / "bundles/digit/scene-00000.h5")
-    for k, method in enumerate(("transport", "path")):
-        recipe = attributes()["recipe"] | {"render": {"method": method}, "quality": {"spp": 64}}
-        write(tmp_path / f"traced/digit/scene-0000{k}.h5", recipe=recipe, edit=lighter if k else None)
-    program = [sys.executable, ROOT / "scripts/gallery.py", tmp_path / "bundles", "--paths", tmp_path / "traced"]
-    done = subprocess.run(
-        [*program, "-o", tmp_path], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}
-    )
-    assert done.returncode == 0, done.stderr
-    assert "(gallery/paths.webp)" in (tmp_path / "gallery.md").read_text()
-    assert (tmp_path / "gallery/paths.webp").stat().st_size > 3000
-    gallery = loaded(ROOT / "scripts/gallery.py")
-    sheet = gallery.paths_sheet(gallery.by_sensor(tmp_path / "traced"))
-    transport, path, off = (panel.images[0].get_array() for panel in sheet.axes)
-    assert (path == np.minimum(transport, 250) + 3).all()
-    assert (off[transport <= 250] == 128 + 4 * 3).all()
-    said = [panel.get_xlabel() for panel in sheet.axes]
-    assert said[1] == "64 paths a pixel"
-    assert said[2].startswith("38.6 dB")
-    assert said[2].endswith("mean +3.00 counts")
 
 
 EXTENDING = re.findall(r"^\| `([^`]+)` \| (.+) \|$", (DOCS / "EXTENDING.md").read_text(), re.M)

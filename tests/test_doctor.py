@@ -39,14 +39,6 @@ def test_every_package_that_is_installed_with_tacgen_is_looked_for():
     assert asked == {*doctor.PACKAGES, *doctor.REPLACEABLE}
 
 
-def test_every_shipped_sensor_and_method_runs_on_what_is_installed_with_tacgen() -> None:
-    """Packages that make images and their files are no extras; those that are, have their reason in pyproject."""
-    project = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
-    extra = {re.split("[<>=]", name)[0] for names in project["optional-dependencies"].values() for name in names}
-    assert not extra & {"mitsuba", "drjit", "OpenEXR"}
-    assert {"mitsuba", "drjit", "OpenEXR"} <= {*doctor.PACKAGES}
-
-
 def test_the_fast_solver_may_be_taken_out(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(doctor, "REPLACEABLE", ("no-such-solver",))
     (gone,) = (f for f in doctor.examine() if not f.ok and f.name == "no-such-solver")

@@ -100,14 +100,6 @@ def test_folds_is_keep_or_end(tmp_path: Path) -> None:
         made(tmp_path, f"{PRESS}folds: stop\n")
 
 
-@pytest.mark.parametrize(("status", "reason"), [("ok", ""), ("rejected", "")])
-def test_a_bundle_without_all_frames_needs_a_reason(tmp_path: Path, status: str, reason: str) -> None:
-    from helpers.synthetic import attributes
-
-    with bundle.Writer(tmp_path / "a.h5", attributes(), 2) as writer, pytest.raises(ValueError, match="0 of 2 frames"):
-        writer.finish(status, reason)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("depth", "reached", "same"), [(1.2, 6, 5), (1.6, 7, 7)])
 def test_shorter_load_steps_go_where_damping_is_not_needed(

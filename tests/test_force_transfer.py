@@ -14,7 +14,6 @@ from PIL import Image
 
 from tacgen import pipeline
 from tacgen.bundle.bundle import read
-from tacgen.errors import UserError
 from tacgen.recipe import plan
 
 torch = needs("torch")
@@ -54,17 +53,6 @@ def test_a_photograph_is_seen_as_the_frame_it_was_taken_of(transfer: ModuleType,
     assert photos.time == pytest.approx(np.arange(4) / 30, abs=1e-3)
 
 
-def test_the_contrast_of_a_darker_unit_is_found(transfer: ModuleType) -> None:
-    class Bright(torch.nn.Module):
-        def forward(self, picture: "torch.Tensor") -> "torch.Tensor":
-            return picture.mean((1, 2, 3))[:, None]
-
-    force = torch.linspace(1, 20, 8)
-    rendered = transfer.Presses((force / transfer.FORCE)[:, None, None, None].expand(8, 3, 4, 4), force)
-    assert transfer.predicted(Bright(), rendered) == pytest.approx(force.numpy())
-    assert transfer.contrast(Bright(), rendered.times(0.7)) == pytest.approx(1 / 0.7, rel=0.02)
-
-
 def test_the_gauges_lag_is_found_for_each_recording(transfer: ModuleType) -> None:
     time = np.arange(20) / 30
     grips = [np.interp(time - lag, time, 25 * np.sin(5 * time).clip(0)) for lag in (0.1, -0.05)]
@@ -76,19 +64,6 @@ def test_the_gauges_lag_is_found_for_each_recording(transfer: ModuleType) -> Non
     assert np.abs(transfer.without_lag(said.numpy(), presses) - presses.force.numpy()).max() < 0.1
     timeless = presses._replace(time=np.full(40, np.nan))
     assert np.array_equal(transfer.without_lag(said.numpy(), timeless), said.numpy())
-
-
-def test_a_table_or_picture_that_cannot_be_read_ends_in_a_line(transfer: ModuleType, tmp_path: Path) -> None:
-    Image.new("RGB", (40, 32)).save(tmp_path / "background.png")
-    for text, said in (
-        ("file,ball_radius_mm\nbackground.png,4\n", "needs the columns file and force_n"),
-        ("file,force_n\n", "needs the columns file and force_n, and a press"),
-        ("file,force_n\nbackground.png,x\n", "force_n: must be numbers"),
-        ("file,force_n\ngone.png,1\n", r"gone\.png: cannot be read as a picture"),
-    ):
-        (tmp_path / "presses.csv").write_text(text)
-        with pytest.raises(UserError, match=said):
-            transfer.photographed(tmp_path)
 
 
 def test_the_script_sets_each_way_beside_floor_and_ceiling(

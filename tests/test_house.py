@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -16,42 +15,10 @@ PACKAGE = ROOT / "tacgen"
 
 # A package or a module of the top level imports only from those above it.
 LAYERS = [
-    "errors",
-    "regular_file",
-    "atomic_file",
-    "output_file",
-    "terminal",
-    "csv_table",
-    "array_cache",
-    "compiled",
-    "stage_clock",
-    "fem",
-    "geometry",
-    "sensor",
-    "optics",
-    "mechanics",
-    "tensor_engine",
-    "tensor_optics",
-    "outputs",
-    "recipe",
-    "render",
-    "bundle",
-    "export",
-    "report",
-    "torch",
-    "doctor",
-    "pipeline",
-    "batch",
-    "api",
-    "calibrate",
-    "replay",
-    "cli_common",
-    "cli_calibrate",
-    "cli_look",
-    "cli_replay",
-    "cli_sensor",
-    "cli",
-    "__main__",
+    *("errors", "regular_file", "atomic_file", "output_file", "terminal", "csv_table", "array_cache", "compiled"),
+    *("stage_clock", "fem", "geometry", "sensor", "optics", "mechanics", "tensor_engine", "tensor_optics", "outputs"),
+    *("recipe", "render", "bundle", "export", "report", "torch", "doctor", "pipeline", "batch", "api", "calibrate"),
+    *("replay", "cli_common", "cli_calibrate", "cli_look", "cli_replay", "cli_sensor", "cli", "__main__"),
 ]
 # Numerics that know no recipe and no scene, in type hints either, and what they may import. Optics names the classes
 # of a sensor file in hints alone: it runs on anything that holds the same numbers.
@@ -64,15 +31,8 @@ HOMES = {
     "mitsuba": {"render.mitsuba_path"},
     "drjit": {"render.mitsuba_path"},
     "matplotlib": {
-        "report.animation",
-        "report.bundle_figure",
-        "report.field_figure",
-        "report.fit_figure",
-        "report.unit_figure",
-        "report.picture_rows",
-        "report.force_figure",
-        "report.sheet",
-        "report.viewer",
+        *("report.animation", "report.bundle_figure", "report.field_figure", "report.fit_figure", "report.unit_figure"),
+        *("report.picture_rows", "report.force_figure", "report.sheet", "report.viewer"),
     },
     "mpl_toolkits": {"report.bundle_figure"},
     "h5py": {"bundle.hdf5_file", "bundle.pack", "doctor", "replay.array_log"},
@@ -152,38 +112,12 @@ READERS = {
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 LINES_BESIDE = 5900  # of benchmarks/ and scripts/ together
 NOT_NUMPY = {
-    "cli",
-    "cli_calibrate",
-    "cli_common",
-    "cli_look",
-    "cli_replay",
-    "cli_sensor",
-    "errors",
-    "sensor.base_model",
-    "sensor.imperfections",
-    "recipe.model",
-    "sensor.layers",
-    "sensor.model",
-    "recipe.assets",
-    "recipe.plan",
-    "recipe.row",
-    "recipe.sampling",
-    "recipe.sensor_base",
-    "recipe.sensor_checks",
-    "recipe.usual_sizes",
-    "recipe.loading",
-    "sensor.optics_checks",
-    "recipe.background_photo",
-    "recipe.checks",
-    "recipe.grasp_checks",
-    "sensor.validation_messages",
-    "sensor.yaml_source",
-    "recipe.trajectory",
-    "recipe.indenters",
-    "recipe.pose_table",
-    "recipe.trajectory_checks",
-    "outputs",
-    "outputs.base",
+    *("cli", "cli_calibrate", "cli_common", "cli_look", "cli_replay", "cli_sensor", "errors", "sensor.base_model"),
+    *("sensor.imperfections", "recipe.model", "sensor.layers", "sensor.model", "recipe.assets", "recipe.plan"),
+    *("recipe.row", "recipe.sampling", "recipe.sensor_base", "recipe.sensor_checks", "recipe.usual_sizes"),
+    *("recipe.loading", "sensor.optics_checks", "recipe.background_photo", "recipe.checks", "recipe.grasp_checks"),
+    *("sensor.validation_messages", "sensor.yaml_source", "recipe.trajectory", "recipe.indenters"),
+    *("recipe.pose_table", "recipe.trajectory_checks", "outputs", "outputs.base"),
     *(f"outputs.{name}" for name in OUTPUTS),
 }
 
@@ -204,6 +138,7 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(text_of(path))
 
 
+@cache
 def imports(path: Path, hints: bool = False) -> list[tuple[str, bool]]:
     """(module, whether at module level) of every import; those for type checkers only if `hints` are asked for."""
     found: list[tuple[str, bool]] = []
@@ -327,19 +262,7 @@ def command(*args: str) -> str:
     return f"from tacgen.cli import app\ntry:\n    app({list(args)!r})\nexcept SystemExit as e:\n    assert not e.code"
 
 
-HEAVY = {
-    "numpy",
-    "scipy",
-    "numba",
-    "mitsuba",
-    "drjit",
-    "h5py",
-    "matplotlib",
-    "cvxopt",
-    "pymetis",
-    "trimesh",
-    "igl",
-}
+HEAVY = {"numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
 
 
 def test_help_imports_no_numerics():
@@ -372,11 +295,11 @@ def test_no_two_public_classes_share_a_name() -> None:
     assert [name for name in names if names.count(name) > 1 and not name.startswith("_")] == []
 
 
-def calls(path: Path) -> Iterator[tuple[ast.Call, str]]:
+@cache
+def calls(path: Path) -> list[tuple[ast.Call, str]]:
     """The calls in a module, each with the name that is called: `open`, `os.open`, `path.write_text`."""
-    for node in ast.walk(tree(path)):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
-            yield node, ast.unparse(node.func)
+    nodes = (node for node in ast.walk(tree(path)) if isinstance(node, ast.Call))
+    return [(node, ast.unparse(node.func)) for node in nodes if isinstance(node.func, ast.Attribute | ast.Name)]
 
 
 def access(path: Path) -> tuple[set[str], set[str]]:

@@ -3,12 +3,9 @@
 import gc
 import json
 import os
-import pickle
 import re
-import signal
 import subprocess
 import sys
-import time
 import weakref
 from dataclasses import replace
 from itertools import count
@@ -18,22 +15,19 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.load_steps import watched
-from scipy.ndimage import map_coordinates
 from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
 from tacgen import mechanics, outputs, pipeline
-from tacgen.bundle import bundle, journal, run_status
+from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.mechanics import cost_note, mesh
 from tacgen.mechanics.condensation import Condensation
-from tacgen.mechanics.expected_error import FACTOR
 from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
-from tacgen.recipe import assets, plan, plan_table, scene_of_row
+from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.row import NOISE
-from tacgen.report import dataset_card
 from tacgen.stage_clock import Clock
 
 ROOT = Path(__file__).parent.parent
@@ -50,7 +44,6 @@ outputs: [force]
 quality: {edge_mm: 1.0, dhat_mm: 0.1, spp: 4}
 """
 SMALL_CAMERA = ("sensor.camera.width_px=64", "sensor.camera.height_px=48", "sensor.camera.mm_per_px=0.317")
-COARSE = [("{shape: sphere, radius_mm: 2}", 1.2, 0.5), ("{shape: sphere, radius_mm: 1}", 1.0, 0.4)]  # edge, depth [mm]
 FLAT = (
     "indenter={shape: box, size_x_mm: 60, size_y_mm: 60}",
     "trajectory=[{press: {depth_mm: 0.3, frames: 1}}]",
@@ -244,37 +237,6 @@ def test_a_bundle_is_synced_before_and_after_it_has_its_name(
     assert ("fsync", "out") not in calls[:-4]
 
 
-def test_a_killed_run_leaves_an_incomplete_file_that_the_next_run_redoes(recipe: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    command = [sys.executable, "-m", "tacgen", "run", str(recipe), "-o", str(out), "--set", "outputs=[force, stress]"]
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        deadline = time.monotonic() + 120
-        while not list(out.glob("*.tacgen-part-*")):
-            assert child.poll() is None, "ended before it could be killed"
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-    finally:
-        os.kill(child.pid, signal.SIGKILL)
-        child.wait()
-    assert not (out / "scene-00000.h5").exists()
-    assert [f.level for f in check(out)] == ["incomplete"]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    assert check(out) == []
-
-
-def test_a_finished_bundle_is_kept_and_one_of_other_inputs_is_not_overwritten(recipe: Path, tmp_path: Path) -> None:
-    first = pipeline.run(plan.load(recipe).rows, tmp_path / "out")[0]
-    before = first.path.read_bytes()
-    assert pipeline.run(plan.load(recipe).rows, tmp_path / "out")[0].seconds == {}
-    other = plan.load(recipe, ["indenter.radius_mm=3"]).rows
-    with pytest.raises(UserError, match="made from other inputs"):
-        pipeline.run(other, tmp_path / "out")
-    assert first.path.read_bytes() == before
-    assert pipeline.run(other, tmp_path / "out", overwrite=True)[0].status == "ok"
-    assert first.path.read_bytes() != before
-
-
 def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
     recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -307,31 +269,6 @@ def test_a_frame_with_a_label_that_is_not_finite_is_rejected(
     assert [f.level for f in check(found.path)] == ["rejected"]
 
 
-def test_forces_agree_with_the_maps_and_the_base(recipe: Path, tmp_path: Path) -> None:
-    row = plan.load(recipe, ["outputs=[traction]"]).rows[0]
-    kept = bundle.read(pipeline.run_scene(row, tmp_path / "out").path)
-    assert kept["/frames/quality/force_balance"].max() < 1e-3
-    assert 0.5 < kept["/frames/quality/least_jacobian"].min() < 1
-    force = kept["/frames/force"]
-    assert (force[:, 2] < 0).all()  # the indenter pushes the gel down
-    assert force[2, 0] > 0.05  # and drags it along when it slides to the right
-    assert np.isfinite(kept["/frames/pressure"]).all()
-
-
-@pytest.mark.slow
-def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
-    """`render: {method: path}` is Mitsuba alone: noisy, and in the mean what transport shows. Noise is not even after
-    the response, so radiances are compared."""
-    from tacgen.optics.surface_grid import Untouched
-    from tacgen.render.images import Renderer
-
-    sensor = plan.load(recipe, SMALL_CAMERA).rows[0].sensor
-    transport = Renderer(sensor, 64, 0, True).image(Untouched())
-    path = Renderer(sensor, 100, 0, True, method="path").image(Untouched())
-    assert path.mean((0, 1)) == pytest.approx(transport.mean((0, 1)), rel=0.05)
-    assert np.abs(path - transport).mean() > 0.005  # it was not transport again
-
-
 @pytest.mark.parametrize(("radius", "edge", "told"), [(4.0, 0.8, False), (2.0, 1.2, True)])
 def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
     recipe: Path, tmp_path: Path, radius: float, edge: float, told: bool
@@ -346,19 +283,6 @@ def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
     percent = f"about {float(format(100 * found['/frames/quality/expected_force_error'].max(), '.1g')):g} %"
     assert [percent in note for note in notes] == [True] * told
     assert notes == json.loads(found.attrs.get("notes", "[]"))
-
-
-@pytest.mark.parametrize(("indenter", "edge", "depth"), COARSE)
-def test_forces_on_coarse_meshes_are_as_far_off_as_is_told(
-    recipe: Path, tmp_path: Path, indenter: str, edge: float, depth: float
-) -> None:
-    sets = (f"indenter={indenter}", f"trajectory=[{{press: {{depth_mm: {depth}, frames: 1}}}}]", "vary=null")
-    sets = (*sets, "contact.friction=0.6", "outputs=[force]")
-    rows = [plan.load(recipe, [*sets, f"quality={{edge_mm: {e}}}"]).rows[0] for e in (edge, 0.4)]
-    coarse, fine = (bundle.read(pipeline.run_scene(row, tmp_path / row.key).path) for row in rows)
-    error = abs(float(coarse["/frames/force"][0, 2] / fine["/frames/force"][0, 2]) - 1)
-    (told,) = coarse["/frames/quality/expected_force_error"]
-    assert told / (2 * FACTOR) < error < told * FACTOR  # of small balls more is told than is measured
 
 
 def test_the_stages_of_a_scene_account_for_all_its_time(
@@ -378,23 +302,6 @@ def test_the_stages_of_a_scene_account_for_all_its_time(
     seconds = pipeline.run_scene(row, tmp_path).seconds
     assert sum(seconds.values()) == pytest.approx(next(read) - begin - 3, abs=1e-3)  # before, between and after stages
     assert seconds.keys() >= {"start", "mesh", "solve", "fields", "bundle"}
-
-
-def test_a_result_holds_its_bundle_which_the_card_need_not_open(
-    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, out = plan.load(recipe, ["quality.edge_mm=1.2", "outputs=[force]"]), tmp_path / "out"
-    out.mkdir()
-    journal.write_plan(plan_table.as_json(made), out, None)
-    for _ in ("made", "kept"):
-        (done,) = pipeline.run(made.rows, out)
-        assert done.bundles == (bundle.read(done.path),)
-    (back,) = pickle.loads(pickle.dumps(done.bundles))
-    assert back == done.bundles[0]
-    assert back.attrs["sensor_document"] is done.bundles[0].attrs["sensor_document"]  # 4 kB that many scenes share
-    card = dataset_card.write(out).read_text()
-    monkeypatch.setattr(run_status, "read", lambda path: pytest.fail("opened again"))
-    assert dataset_card.write(out, [back]).read_text() == card
 
 
 def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> None:
@@ -428,24 +335,6 @@ def test_a_scene_without_contact_is_ok_if_it_may_miss_alone(recipe: Path, tmp_pa
         assert (kept.status, kept.reason, kept.seconds) == (done.status, done.reason, {})
 
 
-@pytest.mark.slow
-def test_pairs_bear_the_same_force(tmp_path: Path) -> None:
-    """Within .5 % of each other in every frame of a press by force, whatever the gel."""
-    recipe = tmp_path / "pairs.yaml"
-    recipe.write_text(
-        "{tacgen: 1, name: pairs, sensors: [gelsight_mini, digit, ninedtact], indenter: {shape: sphere, radius_mm: 4},"
-        " trajectory: [press: {force_n: 1.2, frames: 2}], outputs: [force], quality: draft}"
-    )
-    made = [bundle.read(result.path) for result in pipeline.run(plan.load(recipe).rows, tmp_path)]
-    assert [scene.attrs["pair"] for scene in made] == [0, 0, 0]
-    assert [scene.attrs["sensor"] for scene in made] == ["gelsight_mini", "digit", "ninedtact"]
-    forces = np.array([-scene["/frames/force"][:, 2] for scene in made])
-    assert (np.ptp(forces, axis=0) <= 0.005 * forces.mean(0)).all(), forces
-    assert forces.mean(0) == pytest.approx([0.6, 1.2], rel=0.003)
-    depths = [-scene["/frames/pose"][-1, 2, 3] for scene in made]
-    assert np.ptp(depths) > 0.05  # the gels are not alike
-
-
 def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> None:
     """As on a solid, of which the recipe's checks know the box alone."""
     row = plan.load(recipe, ["outputs=[markers]"]).rows[0]
@@ -454,41 +343,6 @@ def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> No
     row = replace(row, sensor=row.sensor.model_copy(update={"markers": wide}))
     with pytest.raises(UserError, match="some markers of gelsight_mini lie beside the gel's face"):
         pipeline.run_scene(row, tmp_path / "out")
-
-
-@pytest.mark.slow
-def test_hexagonal_markers_are_where_the_image_shows_dots_and_move_with_the_flow(recipe: Path, tmp_path: Path) -> None:
-    text = assets.sensor_path("gelsight_mini").read_text()
-    grid = "  columns: 9\n  rows: 7\n  pitch_mm: [2.0, 1.94]\n"
-    assert grid in text
-    (tmp_path / "hexagonal.yaml").write_text(text.replace(grid, "  layout: hexagonal\n  rings: 3\n  pitch_mm: 2.0\n"))
-    recipe.write_text(RECIPE.replace("gelsight_mini", "hexagonal.yaml"))
-    row = plan.load(recipe, ["outputs=[force, markers, flow, rgb]", "render.noise=false"]).rows[0]
-    dotted = bundle.read(pipeline.run_scene(row, tmp_path / "dotted").path)
-    bare = replace(row, sensor=row.sensor.model_copy(update={"markers": None}))
-    bare = replace(bare, recipe=row.recipe.model_copy(update={"outputs": frozenset({"rgb"})}))
-    plain = bundle.read(pipeline.run_scene(bare, tmp_path / "plain").path)
-    at = dotted["/frames/markers"]
-    assert at.shape == (3, 37, 2)
-    assert dotted["/frames/marker_visible"].all()
-    assert check(dotted.path) == []
-
-    rest = dotted["/reference/markers"]
-    assert rest + rest[::-1] == pytest.approx(np.broadcast_to(2 * rest[18], rest.shape), abs=1e-3)  # 18: the middle one
-    y, x = np.indices(dotted["/frames/rgb"].shape[1:3]) + 0.5
-    for k in range(3):
-        dark = (plain["/frames/rgb"][k].astype(float) - dotted["/frames/rgb"][k]).sum(-1)
-        for place in at[k]:
-            weight = dark * (np.hypot(x - place[0], y - place[1]) < 12)  # less than half the 32 px between dots
-            centre = np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
-            assert centre == pytest.approx(place, abs=0.5)
-    assert np.abs(dark).sum() > 20_000  # of 37 dots with an area of 107 px each
-
-    flow = dotted["/frames/flow"][-1]
-    scale = flow.shape[1] / x.shape[1]
-    moved = [map_coordinates(flow[..., c], (scale * rest - 0.5).T[::-1], order=1) for c in (0, 1)]
-    assert np.stack(moved, -1) == pytest.approx(dotted["/frames/marker_flow"][-1], abs=0.05)
-    assert np.linalg.norm(dotted["/frames/marker_flow"][-1], axis=1).max() > 1
 
 
 COMPILED = """

@@ -230,16 +230,9 @@ def test_a_recipe_is_a_dictionary_a_name_or_a_file(tmp_path: Path, monkeypatch: 
 
 
 def test_run_writes_bundles_that_read_all_reads(tmp_path: Path) -> None:
-    recipe = {
-        "tacgen": 1,
-        "name": "two",
-        "sensor": "gelsight_mini",
-        "indenter": tacgen.Sphere(radius_mm=4),
-        "trajectory": [{"press": tacgen.Press(depth_mm=0.3, frames=1)}],
-        "quality": COARSE,
-        "outputs": ["force"],
-        "vary": {"method": "grid", "over": {"indenter.radius_mm": {"choice": [3, 5]}}},
-    }
+    press = [{"press": tacgen.Press(depth_mm=0.3, frames=1)}]
+    vary = {"method": "grid", "over": {"indenter.radius_mm": {"choice": [3, 5]}}}
+    recipe = {"extends": "quickstart", "trajectory": press, "quality": COARSE, "outputs": ["force"], "vary": vary}
     results = tacgen.run(recipe, tmp_path)
     assert [each.status for each in results] == ["ok", "ok"]
     small, large = tacgen.read_all(tmp_path)

@@ -65,20 +65,6 @@ def test_a_parent_killed_twice_during_a_write_takes_its_workers_along_and_loses_
 
 
 @pytest.mark.slow
-def test_two_runs_into_one_folder_share_the_work(tmp_path: Path):
-    out = tmp_path / "out"
-    for scene in ALL:
-        spoil(out, scene, "slow")
-    programs = [start(out, workers=1) for _ in range(2)]
-    for program in programs:
-        said, _ = program.communicate(timeout=120)
-        assert said.split() == ["ok"] * 8
-    assert sorted(made(out)) == ALL
-    assert check(out) == []
-    assert leftovers(out) == []
-
-
-@pytest.mark.slow
 def test_a_run_takes_over_what_another_one_dies_of(tmp_path: Path):
     out = tmp_path / "out"
     spoil(out, "scene-00000", "hang writing")
@@ -121,6 +107,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", disk], check=True)
 
 
+@pytest.mark.usefixtures("kept_workers")
 def test_a_disk_that_fills_up_stops_the_run_and_a_larger_one_lets_it_go_on(small_disk: Path):
     out = small_disk / "out"
     with pytest.raises(OSError, match="No space left on device") as caught:

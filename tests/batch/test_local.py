@@ -6,8 +6,6 @@ import json
 import os
 import resource
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from multiprocessing import Pipe
@@ -43,35 +41,6 @@ def digests(folder: Path) -> dict[str, str]:
 def leftovers(folder: Path) -> list[str]:
     known = (".h5", ".json", ".jsonl", ".log")
     return [path.name for path in folder.iterdir() if path.is_file() and not path.name.endswith(known)]
-
-
-FAULTS = """
-import resource
-import numpy as np
-from tacgen.batch import worker_main
-if {kept}:
-    worker_main._keep_freed_memory()
-def use():
-    arrays = [np.ones(900_000) for _ in range(4)]
-for _ in range(2):
-    use()
-before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-for _ in range(20):
-    use()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of glibc")
-def test_a_workers_memory_does_not_come_back_page_by_page() -> None:
-    """Arrays of 29 MB in all are used again and again."""
-    often, rarely = (
-        int(subprocess.run([sys.executable, "-c", FAULTS.format(kept=kept)], capture_output=True, check=True).stdout)
-        for kept in (False, True)
-    )
-    assert rarely < 1000
-    assert often > 20_000
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="needs glibc")
@@ -203,7 +172,7 @@ def test_workers_that_cannot_start_are_one_line(tmp_path: Path):
 
 def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyPatch):
     from tacgen.batch import worker_process
-    from tacgen.batch.worker_process import THREADS, Worker
+    from tacgen.batch.worker_process import THREADS
 
     for name in THREADS:
         monkeypatch.delenv(name, raising=False)
@@ -219,8 +188,6 @@ def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyP
 
 
 def test_an_interrupt_is_the_parent_s_alone_from_the_first_moment():
-    from tacgen.batch.worker_process import Worker
-
     worker = Worker(TASK)
     for _ in range(20):
         os.kill(worker.process.pid, signal.SIGINT)

@@ -192,17 +192,9 @@ def test_a_dataset_named_as_in_h5py_is_pointed_out(tmp_path: Path) -> None:
 
 def test_the_page_is_the_table() -> None:
     root = Path(__file__).parents[2]
-    made = subprocess.run(
-        [sys.executable, root / "scripts/bundle_page.py"], capture_output=True, text=True, check=True, env=environment()
-    )
+    command, known = [sys.executable, root / "scripts/bundle_page.py"], os.environ | {"PYTHONPATH": str(root)}
+    made = subprocess.run(command, capture_output=True, text=True, check=True, env=known)
     assert (root / "docs/BUNDLE.md").read_text() == made.stdout, "run scripts/bundle_page.py > docs/BUNDLE.md"
-
-
-def environment() -> dict[str, str]:
-    """So that a child finds tacgen and the test's own modules, installed or not."""
-    return os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), str(Path(__file__).parents[1])])
-    }
 
 
 # -- a writer that dies ------------------------------------------------------------------------------------------------
@@ -268,7 +260,7 @@ def file_size_limit(size: int):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("part", [0.0, 0.5, 0.999])
 def test_a_file_that_may_not_grow(tmp_path: Path, part: float) -> None:
     size = write(tmp_path / "whole" / "x.h5").stat().st_size
     target = tmp_path / "full" / "x.h5"
@@ -277,21 +269,6 @@ def test_a_file_that_may_not_grow(tmp_path: Path, part: float) -> None:
     assert caught.value.errno == errno.EFBIG
     assert caught.value.filename == str(target)
     assert os.listdir(target.parent) == []
-
-
-def test_a_full_disk(tmp_path: Path) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=32k", "none", disk], capture_output=True).returncode:
-        pytest.skip("may not mount")
-    try:
-        script = f"import pathlib\nfrom helpers import synthetic\nsynthetic.write(pathlib.Path({str(disk)!r}) / 'x.h5')"
-        child = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
-        assert child.returncode == 1
-        assert child.stderr.splitlines()[-1] == f"OSError: [Errno 28] No space left on device: '{disk / 'x.h5'}'"
-        assert os.listdir(disk) == []
-    finally:
-        subprocess.run(["umount", disk], check=True)
 
 
 # -- a file that is not what it was ------------------------------------------------------------------------------------
@@ -328,20 +305,6 @@ def test_no_flipped_bit_goes_unseen(tmp_path: Path) -> None:
     assert refused > 30
 
 
-def test_a_flipped_bit_in_an_image_is_seen_by_whoever_reads_it(tmp_path: Path) -> None:
-    path = write(tmp_path / "x.h5")
-    with h5py.File(path) as file:
-        chunk = file["frames/rgb"].id.get_chunk_info(5)
-    spoilt = bytearray(path.read_bytes())
-    spoilt[chunk.byte_offset + chunk.size // 2] ^= 1
-    path.write_bytes(spoilt)
-    found = read(path)
-    found.frame("/frames/rgb", 4)
-    with pytest.raises(UserError, match=r"x\.h5: damaged or cut short"):
-        found.frame("/frames/rgb", 5)
-    assert not complete(path, KEY)
-
-
 def change(path: Path, **attrs: object) -> None:
     with h5py.File(path, "a") as file:
         file.attrs.update(attrs)
@@ -355,10 +318,14 @@ def change(path: Path, **attrs: object) -> None:
         ({"seed": "seven"}, "damaged: attribute 'seed' is 'seven', expected int"),
         ({"recipe": "{"}, "damaged"),
         ({"solver": "a better one"}, "its contents do not match its digest"),
+        ({}, "its contents do not match its digest"),  # one number of the data, with a checksum that is right
     ],
 )
-def test_changed_attributes_are_refused(tmp_path: Path, attrs: dict, message: str) -> None:
+def test_changed_attributes_or_data_are_refused(tmp_path: Path, attrs: dict, message: str) -> None:
     change(write(tmp_path / "x.h5"), **attrs)
+    if not attrs:
+        with h5py.File(tmp_path / "x.h5", "a") as file:
+            file["frames/force"][3, 2] += 1e-9
     with pytest.raises(UserError, match=message) as caught:
         read(tmp_path / "x.h5").verify()
     assert len(caught.value.lines) == 1
@@ -369,14 +336,6 @@ def test_a_writer_that_was_stopped_is_reported_from_damage(tmp_path: Path) -> No
     with pytest.raises(Unfinished):
         read(tmp_path / "x.h5")
     assert [f.level for f in check(tmp_path / "x.h5")] == ["incomplete"]
-
-
-def test_changed_data_are_refused_even_with_valid_checksums(tmp_path: Path) -> None:
-    path = write(tmp_path / "x.h5")
-    with h5py.File(path, "a") as file:
-        file["frames/force"][3, 2] += 1e-9
-    with pytest.raises(UserError, match="digest"):
-        read(path).verify()
 
 
 def test_an_invalid_bundle_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -50,7 +50,8 @@ def test_its_loader_finds_pictures_depths_and_wrenches(folder: Path, scene: Bund
     assert np.array_equal(Image.open(f"{base}tactile/background.png"), scene["/reference/rgb"])
 
 
-def test_other_pictures_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["FeelAnyForce", "FEATS"])
+def test_other_pictures_are_refused(tmp_path: Path, kind: str) -> None:
     write(tmp_path / "scene.h5", outputs=OUTPUTS, edit=real)
-    with pytest.raises(UserError, match="FeelAnyForce takes images of 240 x 320 pixels, these have 48 x 64"):
-        export("feelanyforce", tmp_path, tmp_path / "out")
+    with pytest.raises(UserError, match=f"{kind} takes images of 240 x 320 pixels, these have 48 x 64"):
+        export(kind.lower(), tmp_path, tmp_path / "out")

@@ -91,8 +91,12 @@ def test_its_loader_finds_pictures_background_forces_and_slip(scenes: Path, tmp_
     assert reader.trajectories[0]["coef_friction"] == 0.4
 
 
-def test_each_split_and_each_untouched_picture_is_a_batch_and_no_sensor_is_mixed(scenes: Path, tmp_path: Path) -> None:
-    export("sparsh", scenes, tmp_path)
+def test_each_split_is_a_batch_in_files_of_some_pictures_and_any_numpy_reads_its_labels(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So is each untouched picture, and no sensor is mixed."""
+    monkeypatch.setattr(sparsh, "PICTURES", 7)
+    made = export("sparsh", scenes, tmp_path)
     for sensor in ("digit", "gelsight"):
         lists = json.loads((tmp_path / sensor / "datasets.json").read_text())
         batches = [name for names in lists.values() for name in names]
@@ -100,13 +104,6 @@ def test_each_split_and_each_untouched_picture_is_a_batch_and_no_sensor_is_mixed
         total = sum(len(Reader(tmp_path / sensor, name, sensor).trajectories) for name in batches)
         assert total == (2 if sensor == "digit" else 6)
     assert not list((tmp_path / "digit").rglob("dataset_gelsight*"))
-
-
-def test_pictures_are_divided_into_files_and_any_numpy_reads_the_labels(
-    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sparsh, "PICTURES", 7)
-    made = export("sparsh", scenes, tmp_path)
     labels = next(path for path in made if path.name == "dataset_slip_forces.pkl")
     assert b"numpy.core" not in labels.read_bytes()
     assert b"numpy._core" not in labels.read_bytes()

@@ -24,26 +24,14 @@ OUTPUTS = frozenset({"force", "stress", "traction", "height", "rgb", "markers"})
 
 def attributes(**changes: Any) -> dict[str, Any]:
     recipe: Any = {
-        "tacgen": 1,
-        "name": "synthetic",
-        "sensor": "gelsight_mini",
-        "indenter": {"shape": "sphere", "radius_mm": 4.0},
-        "trajectory": TRAJECTORY,
-        "contact": {"friction": FRICTION},
-    }
+        "tacgen": 1, "name": "synthetic", "sensor": "gelsight_mini", "indenter": {"shape": "sphere", "radius_mm": 4.0},
+        "trajectory": TRAJECTORY, "contact": {"friction": FRICTION},
+    }  # fmt: skip
     for name, value in changes.get("values", {}).items() if "recipe" not in changes else ():
         if not name.startswith("sensor."):
             recipe = put(recipe, parse_path(name), value)
-    attrs: dict[str, Any] = {
-        "recipe": recipe,
-        "scene_index": 0,
-        "seed": 7,
-        "sensor": "gelsight_mini",
-        "sensor_sha256": "0" * 64,
-        "solver": "none",
-        "input_key": "k" * 64,
-    }
-    return attrs | changes
+    keys = {"sensor_sha256": "0" * 64, "input_key": "k" * 64}
+    return {"recipe": recipe, "scene_index": 0, "seed": 7, "sensor": "gelsight_mini", "solver": "none"} | keys | changes
 
 
 def states() -> list[tuple[int, float, float, float]]:

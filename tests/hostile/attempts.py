@@ -21,7 +21,7 @@ from typing import Any
 import h5py
 import numpy as np
 from helpers import whole_bundle
-from helpers.scenes import make_plan
+from helpers.scenes import make, make_plan
 from helpers.synthetic import OUTPUTS, write
 
 from hostile.resealed import MUTATIONS
@@ -103,8 +103,7 @@ def log_arrays() -> dict[str, Any]:
         "object_position": position,
         "object_quaternion": turn,
         "force": position,
-        **known,
-    }
+    } | known
 
 
 LOG_TABLE = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x_n,force_y_n,force_z_n\n" + "".join(
@@ -182,13 +181,13 @@ def load(folder: Path) -> None:
 
 def resume(folder: Path) -> None:
     """A run that goes on: its scenes come from closed formulas."""
-    from tacgen import batch
-
     for row in make_plan(folder.parent, 3).rows:
-        from helpers.scenes import make
-
         make(row, folder)
-    assert batch
+
+
+def card(folder: Path) -> None:
+    with writing(folder):  # as `run` writes it
+        dataset_card.write(folder)
 
 
 def exported(kind: str) -> Callable[[Path], None]:
@@ -212,7 +211,7 @@ READERS: dict[str, Callable[[Path], None]] = {
     "view one": lambda folder: command("view", first(folder), "-o", str(folder.parent / "view.html")),
     "report": lambda folder: command("report", str(folder), "-o", str(folder.parent / "report.html")),
     "pack": lambda folder: command("pack", str(folder), "-o", str(folder.parent / "again")),
-    "card": lambda folder: _card(folder),
+    "card": card,
     "torch": load,
     "resume": resume,
     "show picture": drawn("-o", "picture.png"),
@@ -220,11 +219,6 @@ READERS: dict[str, Callable[[Path], None]] = {
     **{f"show {field}": drawn("--field", field, "-o", "field.png") for field in FIELDS},
     **{f"export {kind}": exported(kind) for kind in EXPORTERS},
 }
-
-
-def _card(folder: Path) -> None:
-    with writing(folder):  # as `run` writes it
-        dataset_card.write(folder)
 
 
 def warm(source: Path) -> None:

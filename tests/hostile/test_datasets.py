@@ -7,11 +7,10 @@ import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,16 +38,17 @@ TESTS = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = attempts.base(tmp_path_factory.mktemp("hostile"))
-    attempts.warm(made)
-    return made
+    return attempts.base(tmp_path_factory.mktemp("hostile"))
 
 
-LONG = {"bytes", "resealed", "special"}
-KINDS = sorted(MUTATIONS.keys() - {"inputs", "numbers", "logs"})
+@pytest.fixture(scope="module")
+def warm(source: Path) -> None:
+    attempts.warm(source)
 
 
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in LONG)) for kind in KINDS])
+@pytest.mark.slow
+@pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize("kind", sorted(MUTATIONS.keys() - {"inputs", "numbers", "logs"}))
 def test_a_few_of_each_kind(source: Path, kind: str) -> None:
     found = [attempts.attempt(kind, seed, source) for seed in range(INPUTS)]
     assert [str(a) for a in found if a.outcome not in attempts.GOOD] == []
@@ -118,6 +118,7 @@ def test_a_mesh_that_a_bundle_names_is_drawn_only_if_it_is_the_one_of_its_recipe
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_a_few_kills(source: Path) -> None:
     needs("webdataset")
     seeds = {kills.work(seed): seed for seed in reversed(range(40))}  # one of each work
@@ -126,15 +127,6 @@ def test_a_few_kills(source: Path) -> None:
     assert [str(a) for a in found if a.outcome != "accepted"] == []
 
 
-@pytest.fixture
-def alarm() -> Iterator[None]:
-    """HDF5 does not return from its own loops; only a signal's default action ends such a test."""
-    signal.alarm(60)
-    yield
-    signal.alarm(0)
-
-
-@pytest.mark.usefixtures("alarm")
 def test_a_zeroed_heap_of_strings_is_refused(tmp_path: Path) -> None:
     """HDF5 1.14 never returns from an unused piece without a length."""
     path = write(tmp_path / "scene.h5", outputs=frozenset({"force"}))
@@ -144,8 +136,8 @@ def test_a_zeroed_heap_of_strings_is_refused(tmp_path: Path) -> None:
         data[at + 16 : at + 200] = bytes(184)
         at = data.find(b"GCOL", at + 4)
     path.write_bytes(data)
-    with pytest.raises(UserError, match="damaged"):
-        read(path)
+    # in a child, since only a signal's default action ends a loop of HDF5's
+    assert attempts.contained(lambda: str(read(path)), tmp_path / "note") == "refused"
 
 
 def test_a_bundle_in_another_s_place_is_found(source: Path, tmp_path: Path) -> None:

@@ -24,13 +24,6 @@ def test_a_misspelt_path_is_told_the_file_beside_it(tmp_path: Path):
         assets.recipe_path("other.yaml", tmp_path)
 
 
-def test_names_are_those_of_the_files():
-    assert "gelsight_mini" in assets.list_sensors()
-    assert "quickstart" in assets.list_recipes()
-    assert assets.sensor_path("gelsight_mini") == ROOT / "sensors" / "gelsight_mini.yaml"
-    assert assets.recipe_path("quickstart") == ROOT / "recipes" / "quickstart.yaml"
-
-
 def test_paths_start_at_the_recipe(tmp_path: Path):
     file = tmp_path / "mine.yaml"
     file.write_text("")

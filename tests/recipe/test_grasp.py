@@ -37,11 +37,6 @@ def test_each_finger_has_a_row_of_its_own(tmp_path: Path) -> None:
     assert plain.bundles[1].sensor == plain.sensor
 
 
-def test_an_ordinary_scene_is_its_own_bundle(tmp_path: Path) -> None:
-    row = load(tmp_path, "grasp=null", "trajectory=[press: {depth_mm: 1, frames: 1}]").rows[0]
-    assert row.bundles == (row,)
-
-
 @pytest.mark.parametrize(
     ("sets", "said"),
     [

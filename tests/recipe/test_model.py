@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
@@ -20,7 +20,7 @@ from tacgen.recipe.model import QUALITIES, Recipe
 from tacgen.sensor import yaml_source
 from tacgen.sensor.model import LIGHTS, Sensor
 from tacgen.sensor.validation_messages import validate
-from tacgen.sensor.yaml_source import TAGS, Source, format_path, parse, parse_path, put
+from tacgen.sensor.yaml_source import TAGS, Source, parse, put
 
 GOOD = """\
 tacgen: 1
@@ -50,18 +50,13 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
     [
         ("depth_mm: 1.0", "depth_mm: -1", "8:23: trajectory[0].press.depth_mm: must be greater than 0 (got -1)"),
         ("depth_mm: 1.0", "depth_mm: .nan", "8:23: trajectory[0].press.depth_mm: must be a finite number (got nan)"),
-        ("depth_mm: 1.0", "depth_mm: yes", "8:23: trajectory[0].press.depth_mm: must be a number (got 'yes')"),
-        ("depth_mm: 1.0", "depth_mm: true", "8:23: trajectory[0].press.depth_mm: must be a number (got true)"),
         ("depth_mm: 1.0", 'depth_mm: "1"', "8:23: trajectory[0].press.depth_mm: must be a number (got '1')"),
         ("depth_mm: 1.0, ", "", "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got none)"),
         ("depth_mm: 1.0", "depth_mm: 1.0, force_n: 2",
          "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got depth_mm, force_n)"),
-        ("depth_mm: 1.0", "force_n: 0", "8:22: trajectory[0].press.force_n: must be greater than 0 (got 0)"),
         ("slide: {x_mm: 1.0", "tilt: {angle_deg: 90", "9:23: trajectory[1].tilt.angle_deg: must be less than 90"),
         ("frames: 5}\n  - slide", "frames: 5.5}\n  - slide",
          "8:36: trajectory[0].press.frames: must be a whole number"),
-        ("frames: 5}\n  - slide", "frames: 0}\n  - slide",
-         "8:36: trajectory[0].press.frames: must be at least 1 (got 0)"),
         ("press:", "perss:", "8:5: trajectory[0].perss: unknown key, did you mean press?"),
         ("radius_mm: 4.0", "raduis_mm: 4.0", "6:3: indenter.raduis_mm: unknown key, did you mean radius_mm?"),
         ("radius_mm: 4.0", "radius_mm:", "6:3: indenter.radius_mm: must be a number (got nothing)"),
@@ -77,10 +72,8 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("sensor: gelsight_mini", "sensor: ./mine.yaml", "3:9: sensor: "),
         ("outputs:", "quality: darft\noutputs:",
          "10:10: quality: must be one of draft, default, reference (got 'darft')"),
-        ("outputs:", "quality: {spp: 0}\noutputs:", "10:16: quality.spp: must be at least 1 (got 0)"),
         ("outputs:", "start: {clearance_mm: -1}\noutputs:",
          "10:23: start.clearance_mm: must be at least 0 (got -1): the"),
-        ("outputs:", "contact: {frction: 1}\noutputs:", "10:11: contact.frction: unknown key, did you mean friction?"),
         # against the sensor
         ("depth_mm: 1.0", "depth_mm: 4",
          "8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm"),
@@ -104,17 +97,29 @@ def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: st
         ("{shape: cylinder, radius_mm: 0.1}", "indenter", "fillet_mm: must be at most radius_mm, 0.1 (got 0.2)"),
         ("{shape: box, size_x_mm: 1, size_y_mm: 3, fillet_mm: 0.6}", "0.6", "fillet_mm: must be at most half the"),
         ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
-        ("{shape: cone, half_angle_deg: 90, tip_radius_mm: 1}", "90", "half_angle_deg: must be less than 90 (got 90)"),
+        ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
         ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5}", "indenter", "length_mm: is missing"),
         ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}", "0.9",
          "length_mm: must be at least twice"),
-        ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
     ],
 )  # fmt: skip
 def test_radii_must_be_possible(tmp_path: Path, indenter: str, at: str, says: str):
     line = f"indenter: {indenter}"
     (told,) = lines_of(tmp_path, GOOD.replace("indenter:\n  shape: sphere\n  radius_mm: 4.0", line))
     assert told.startswith(f"recipe.yaml:4:{line.index(at) + 1}: indenter.{says}")
+
+
+OUT_OF_RANGE = (
+    *("trajectory[0].press.frames=0", "trajectory[0].press.force_n=0", "quality.spp=0", "indenter.radius_mm=-3"),
+    *("contact.friction=-1", "vary={samples: 0, over: {a: {choice: [1]}}}", "vary={samples: 3, over: {}}"),
+    "vary={samples: 3, over: {a: {loguniform: [0, 1]}}}",
+)
+
+
+@pytest.mark.parametrize("override", OUT_OF_RANGE)
+def test_numbers_out_of_their_range_are_refused(tmp_path: Path, override: str):
+    told = lines_of(tmp_path, GOOD.replace("depth_mm: 1.0, ", "") if "force_n" in override else GOOD, (override,))
+    assert [line.startswith("--set") and " must " in line for line in told] == [True]
 
 
 def test_all_problems_come_at_once_and_in_order(tmp_path: Path):
@@ -129,15 +134,6 @@ def test_all_problems_come_at_once_and_in_order(tmp_path: Path):
     ]
 
 
-def test_the_caret_stands_under_the_value(tmp_path: Path):
-    path = tmp_path / "recipe.yaml"
-    path.write_text(GOOD.replace("depth_mm: 1.0", "depth_mm: -1"))
-    with pytest.raises(UserError) as caught:
-        read(path)
-    _, line, caret = caught.value.lines
-    assert line[caret.index("^") :].startswith("-1, frames: 5}")
-
-
 def sensor_text() -> str:
     return assets.sensor_path("gelsight_mini").read_text()
 
@@ -145,9 +141,6 @@ def sensor_text() -> str:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("poissons_ratio: 0.49", "poissons_ratio: 0.5",
-         "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.5)"),
-        ("thickness_mm: 4.0", "thickness_mm: -4.0", "gel.layers[0].thickness_mm: must be greater than 0 (got -4)"),
         ("corner_radius_mm: 1.5", "corner_radius_mm: 15",
          "gel.corner_radius_mm: must be at most half the pad's shorter"),
         ("mm_per_px: 0.0634", "mm_per_px: 60", "camera.mm_per_px: leaves 0.35 pixels for the gel, 20.75 mm"),
@@ -189,7 +182,6 @@ def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("indenter.radius_mm=-3", "indenter.radius_mm: must be greater than 0 (got -3)"),
         ("contact.frction=1", "contact.frction: unknown key, did you mean friction?"),
         ("trajectory[5].hold.frames=1", "[5] is past the end: there are 2 entries, counted from 0"),
         ("name.x=1", "x needs a mapping, and there is 'test'"),
@@ -294,13 +286,6 @@ def test_extends_lays_one_recipe_over_another(tmp_path: Path):
     assert told.startswith("base.yaml:8:23: trajectory[0].press.depth_mm")
 
 
-def test_a_shipped_recipe_is_extended_by_its_name(tmp_path: Path):
-    path = tmp_path / "recipe.yaml"
-    path.write_text("extends: quickstart\nname: child\n")
-    recipe, shipped = read(path).recipe, read(assets.recipe_path("quickstart")).recipe
-    assert recipe == shipped.model_copy(update={"name": "child"})
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -319,13 +304,6 @@ def test_errors_of_extends(tmp_path: Path, text: str, says: str):
     assert says in told
 
 
-def test_markers_need_a_sensor_with_markers(tmp_path: Path):
-    (told,) = lines_of(tmp_path, GOOD.replace("[force]", "[markers]"), ("sensor.markers=null",))
-    assert told.endswith(
-        "asks for markers, and the sensor gelsight_mini has none: leave them out, or add markers to its file"
-    )
-
-
 @pytest.mark.parametrize("change", ["sensor.gel.width_mm=12", "sensor.markers.rows=12", "sensor.gel.height_mm=11"])
 def test_markers_lie_on_the_gel(tmp_path: Path, change: str):
     (told,) = lines_of(tmp_path, GOOD.replace("[force]", "[markers]"), (change,))
@@ -339,10 +317,7 @@ def test_markers_lie_on_the_gel(tmp_path: Path, change: str):
     [
         ("{method: sobol, over: {a: {choice: [1]}}}", "vary.samples: is missing: how many scenes to draw by sobol"),
         ("{method: grid, samples: 3, over: {a: {choice: [1]}}}", "vary.samples: must be left out: a grid has as many"),
-        ("{samples: 3, over: {}}", "vary.over: must hold at least 1 (got 0)"),
         ("{samples: 3, over: {a: {uniform: [2, 1]}}}", "vary.over.a.uniform: must be [low, high] with low < high"),
-        ("{samples: 3, over: {a: {loguniform: [0, 1]}}}", "vary.over.a.loguniform[0]: must be greater than 0 (got 0)"),
-        ("{samples: 3, over: {a: {unifrm: [2, 1]}}}", "vary.over.a.unifrm: unknown key, did you mean uniform?"),
         ("{samples: 3, over: {a: {}}}", "vary.over.a: must hold exactly one distribution of uniform, loguniform"),
         ("{method: soboll, samples: 3, over: {a: {choice: [1]}}}",
          "vary.method: must be one of grid, random, sobol, lhs"),
@@ -352,16 +327,6 @@ def test_a_batch_must_make_sense(tmp_path: Path, vary: str, line: str):
     (told,) = lines_of(tmp_path, f"{GOOD}vary: {vary}\n")
     assert told.startswith("recipe.yaml:11:")
     assert line in told
-
-
-def test_quality_is_a_preset_or_numbers():
-    def quality(value: Any) -> Any:
-        recipe, wrong = validate(Recipe, parse(GOOD, Source("r")).data | {"quality": value})
-        assert recipe is not None, wrong
-        return recipe.resolved()
-
-    assert quality("draft") == QUALITIES["draft"]
-    assert quality({"spp": 8}) == QUALITIES["default"]._replace(spp=8)
 
 
 # -- generated recipes --
@@ -444,46 +409,17 @@ def test_a_recipe_survives_being_written_and_read(data: dict[str, Any]):
     assert again == recipe, wrong
 
 
-junk = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(),
-    st.floats(),
-    st.text(max_size=5),
-    st.just([]),
-    st.just({}),
-    st.just({"a": 1}),
-)
-ALL_PATHS = [path for path in parse(GOOD, Source("r")).spots if path]
+JUNK = (None, True, -1, 0, 1e308, float("nan"), "", "x", [], {}, {"a": 1}, [[]])
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
-@given(st.sampled_from(ALL_PATHS), st.one_of(junk, st.just("DELETE"), st.just("RENAME")))
-def test_no_damage_to_a_recipe_is_a_crash(tmp_path: Path, path: tuple, value: Any):
-    data = parse(GOOD, Source("r")).data
-    if value in ("DELETE", "RENAME"):
-        parent = data
-        for step in path[:-1]:
-            parent = parent[step]
-        old = parent.pop(path[-1])
-        if value == "RENAME" and isinstance(parent, dict):
-            parent[f"{path[-1]}x"] = old
-    else:
-        data = put(data, path, value)
+@pytest.mark.parametrize("value", JUNK, ids=repr)
+def test_no_damage_to_a_recipe_is_a_crash(tmp_path: Path, value: Any):
     file = tmp_path / "recipe.yaml"
-    file.write_text(to_yaml(data), encoding="utf-8")
-    try:
-        read(file)
-    except UserError as error:
-        heads = [line for line in error.lines if not line.startswith("    ")]
-        assert heads
-        assert all(line.startswith(f"{file}:") and line.split(":")[1].isdigit() for line in heads), heads
-
-
-def test_shipped_recipes_and_sensors_are_valid():
-    for name in assets.list_recipes():
-        assert read(assets.recipe_path(name)).recipe.name == name
-
-
-def test_paths_in_errors_are_paths_that_set_understands():
-    assert format_path(parse_path("trajectory[0].press.depth_mm")) == "trajectory[0].press.depth_mm"
+    for path in filter(None, parse(GOOD, Source("r")).spots):
+        file.write_text(to_yaml(put(parse(GOOD, Source("r")).data, path, value)))
+        try:
+            read(file)
+        except UserError as error:
+            heads = [line for line in error.lines if not line.startswith("    ")]
+            assert heads
+            assert all(line.startswith(f"{file}:") and line.split(":")[1].isdigit() for line in heads), heads

@@ -111,16 +111,9 @@ def test_a_radius_in_metres_is_told_in_the_error() -> None:
     assert "edge_mm" not in said
 
 
-def test_drawn_depths_in_metres_are_told_once(tmp_path: Path) -> None:
-    over = "'trajectory[0].press.depth_mm': {uniform: [0.0005, 0.001]}"
-    (tmp_path / "r.yaml").write_text(f"extends: quickstart\nname: r\nvary: {{samples: 4, over: {{{over}}}}}\n")
-    (line,) = plan.load(tmp_path / "r.yaml").warnings
-    assert "scene-00000: trajectory[0].press.depth_mm: " in line
-    assert line.endswith("(and 3 more scenes)")
-
-
 def test_usual_recipes_have_no_such_warning() -> None:
     for name in assets.list_recipes():
         few = ["vary.samples=4"] if "\n  samples:" in assets.recipe_path(name).read_text() else []
-        told = plan.load(assets.recipe_path(name), few).warnings
-        assert not [line for line in told if "very small" in line], name
+        made = plan.load(assets.recipe_path(name), few)
+        assert made.rows[0].recipe.name == name
+        assert not [line for line in made.warnings if "very small" in line], name

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.small_recipe import HEAD
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tacgen import pipeline
@@ -20,7 +18,6 @@ from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import plan, pose_table, scene_of_row, trajectory_checks
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Placement, unit
 from tacgen.sensor.validation_messages import validate
 
@@ -122,13 +119,6 @@ def test_titles_may_be_named_by_columns(tmp_path: Path) -> None:
         "has no column time, x, y, z: name it under columns",
         "does not say whether x, y and z are in mm or m: add units: m, or units: mm",
     ]
-
-
-def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("gripper,qx,qy,qz,qw,z,y,x,time\nopen,0,0,0,1,3,2,1,5\n\n")
-    (pose,) = pose_table.read(path, "m").poses
-    assert (pose.pose == matrix(np.array([1000, 2000, 3000]), np.array([1, 0, 0, 0]))).all()
 
 
 @pytest.mark.parametrize(
@@ -271,34 +261,12 @@ def test_poses_of_another_body_in_another_frame(tmp_path: Path) -> None:
 
 
 SENSOR_TITLES = TITLES + "".join(f",sensor_{title}" for title in TITLES.split(",")[1:])
-places = st.tuples(*[st.floats(-500, 500)] * 3)
-turns = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(rng=np.random.default_rng(seed)))
-
-
-@st.composite
-def frames(draw: st.DrawFn) -> Array:
-    """A pose (4, 4)."""
-    return matrix(np.array(draw(places)), draw(turns).as_quat(scalar_first=True))
 
 
 def placement(pose: Array) -> Placement:
     x, y, z = pose[:3, 3].tolist()
     w, i, j, k = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True).tolist()
     return Placement(position_mm=(x, y, z), quaternion=(w, i, j, k))
-
-
-@settings(max_examples=50, deadline=None)
-@given(frames(), frames(), frames(), frames(), frames())
-def test_a_rigid_motion_of_sensor_and_body_together_changes_nothing(
-    body: Array, sensor: Array, mount: Array, inner: Array, motion: Array
-) -> None:
-    def relative(moved: Array) -> Array:
-        row = TimedPose(2, 0.0, moved @ body, moved @ sensor)
-        return pose_table.relative([row], placement(mount), placement(inner))[0]
-
-    assert relative(motion) == pytest.approx(relative(np.eye(4)), abs=1e-9)
-    point = np.array([0.3, -0.2, 0.7, 1.0])  # of the indenter: seen from the sensor, and from the world by another way
-    assert sensor @ mount @ relative(motion) @ point == pytest.approx(body @ inner @ point, abs=1e-9)
 
 
 def test_a_moving_sensor_is_read_from_the_table(tmp_path: Path) -> None:
@@ -392,25 +360,6 @@ def test_tables_may_be_varied_and_are_found_beside_the_recipe_that_names_them(tm
     over = f"{tables}    contact.friction: {{choice: [0, 1]}}\n"
     outer.write_text(f"extends: inner/recipe.yaml\nname: outer\nvary:\n  method: grid\n  over:\n{over}")
     assert [row.frames for row in plan.load(outer).rows] == [2, 2, 3, 3]
-
-
-def test_a_replay_gives_what_the_movements_gave(tmp_path: Path) -> None:
-    """The poses of a press, slide and twist, replayed: the same forces to rounding."""
-    moves = "  - press: {depth_mm: 0.6, frames: 2}\n  - slide: {x_mm: 0.4, frames: 1}\n"
-    moves += "  - twist: {angle_deg: 20, frames: 1}\n"
-    (tmp_path / "moves.yaml").write_text(f"{HEAD}{moves}contact: {{friction: 0.5}}\n")
-    row = plan.load(tmp_path / "moves.yaml").rows[0]
-    q = Rotation.from_matrix(scene_of_row.build(row).poses[:, :3, :3]).as_quat(scalar_first=True)
-    rows = [(k, *p[:3, 3], *turn) for k, (p, turn) in enumerate(zip(scene_of_row.build(row).poses, q, strict=True))]
-    again = load(tmp_path, table(rows), "contact.friction=0.5").rows[0]
-    one = pipeline.run_scene(row, tmp_path / "one")
-    two = pipeline.run_scene(again, tmp_path / "two")
-    a, b = bundle.read(one.path), bundle.read(two.path)
-    assert (a.attrs["status"], b.attrs["status"]) == ("ok", "ok")
-    assert b["/frames/force"] == pytest.approx(a["/frames/force"], abs=1e-6)
-    assert b["/frames/pose"] == pytest.approx(a["/frames/pose"], abs=1e-12)
-    assert b.recipe["trajectory"][0]["replay"]["sha256"] == pose_table.read(tmp_path / "poses.csv").sha256
-    assert b.recipe["trajectory"][0]["replay"]["frames"] == 4
 
 
 def test_a_table_may_repeat_a_pose(tmp_path: Path) -> None:

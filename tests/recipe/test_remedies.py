@@ -22,8 +22,6 @@ RECIPES = {
     "sensors=[digit, digit]|sensor=null": "leave the repeated one out",
     "vary={method: grid, over: {name: {choice: [a, b]}}}": "write a recipe for each value",
     "uncertainty={material: {modulus: 30}}": "must be at most 1 (got 30)",
-    "uncertainty={material: {poissons_ratio: 0.6}}": "must be at most 0.5 (got 0.6)",
-    "uncertainty={material: {friction: 1.1}}": "must be at most 1 (got 1.1)",
     "uncertainty={pose: {depth_mm: 5}}": "must be at most the gel's thickness, 4 mm (got 5)",
     "quality={edge_mm: 2.1}": "ask for quality: {edge_mm: 1} or finer",
     "quality=draft|sensor.gel.layers[0].thickness_mm=1": "ask for quality: {edge_mm: 0.25} or finer",

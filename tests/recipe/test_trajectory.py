@@ -39,7 +39,7 @@ def solved(made: Row) -> list[mechanics.State]:
     return list(mechanics.states(built, mechanics.Problem.of(built, grid)))
 
 
-@pytest.mark.parametrize("sets", [(), (ROUGH,), (BOX,), (BOX, ROUGH)])
+@pytest.mark.parametrize("sets", [(), (BOX, ROUGH)])
 def test_a_force_is_reached_in_equal_steps_and_its_depth_kept(tmp_path: Path, sets: tuple[str, ...]) -> None:
     segments = "press: {force_n: 2.0, frames: 2}\nslide: {x_mm: 0.2, frames: 1}\nrelease: {frames: 2}"
     found = solved(row(tmp_path, segments, *sets))
@@ -257,9 +257,6 @@ def test_a_tilted_box_turns_about_the_middle_of_its_face_and_must_not_reach_the_
     wide = "indenter={shape: box, size_x_mm: 16, size_y_mm: 16, fillet_mm: 0.3}"
     with pytest.raises(UserError, match=r"trajectory\[1\].tilt.angle_deg: would turn the indenter's edge to the base"):
         scene_of_row.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", wide))
-    cone = "indenter={shape: cone, half_angle_deg: 60, tip_radius_mm: 0.5}"
-    with pytest.raises(UserError, match=r"tilt.angle_deg: the indenter's flank would meet the gel before its tip"):
-        scene_of_row.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", cone))
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 1.5, 4.0])

@@ -31,11 +31,6 @@ def test_it_is_told_in_one_line(modulus: str, says: str) -> None:
     assert "\n" not in line
 
 
-@pytest.mark.parametrize("modulus", ["0.005", "0.432", "5"])
-def test_what_is_usual_is_not(modulus: str) -> None:
-    assert told(f"{KEY}={modulus}") == ()
-
-
 def test_a_gel_measured_in_metres_is_told() -> None:
     gel = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].gel
     layers = [layer.model_copy(update={"thickness_mm": layer.thickness_mm / 1000}) for layer in gel.layers]

@@ -108,21 +108,19 @@ def test_aliases_cannot_fill_the_memory():
 
 @pytest.mark.parametrize(
     ("content", "says"),
-    [(None, "no such file"), (b"\x80\x81\xff\x00", "is not a text file"), (b"a\0b", "is not a text file")],
-)
-def test_a_file_that_is_no_text_is_one_line(tmp_path: Path, content: bytes | None, says: str):
+    [(None, "no such file"), (b"\x80\x81\xff\x00", "is not a text file"), (b"a\0b", "is not a text file"),
+     ("folder", "is a folder")],
+)  # fmt: skip
+def test_a_file_that_is_no_text_is_one_line(tmp_path: Path, content: bytes | str | None, says: str):
     path = tmp_path / "r.yaml"
-    if content is not None:
+    if content == "folder":
+        path.mkdir()
+    elif isinstance(content, bytes):
         path.write_bytes(content)
     with pytest.raises(UserError) as caught:
         load(path)
     assert len(caught.value.lines) == 1
     assert says in caught.value.lines[0]
-
-
-def test_a_folder_is_no_file(tmp_path: Path):
-    with pytest.raises(UserError, match="is a folder"):
-        load(tmp_path)
 
 
 @given(st.text(max_size=60))
@@ -151,14 +149,6 @@ def test_merging_keeps_the_place_of_what_won():
     assert merged.spot(("a", "y")).value.line == 1
     assert ("b", 1) not in merged.spots
     assert base.data["a"]["y"] == 2, "the original was edited"
-
-
-def test_another_shape_replaces_the_whole_indenter():
-    base = read("indenter: {shape: sphere, radius_mm: 3}")
-    over = read("indenter: {shape: box, size_x_mm: 2}")
-    assert base.merged(over).data["indenter"] == {"shape": "box", "size_x_mm": 2}
-    same = read("indenter: {shape: sphere, radius_mm: 4}")
-    assert base.merged(same).data["indenter"] == {"shape": "sphere", "radius_mm": 4}
 
 
 def test_another_distribution_replaces_the_whole_one():
