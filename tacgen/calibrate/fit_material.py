@@ -42,6 +42,11 @@ class Estimate:
     bound: bool = False  # at the end of its range, without an interval
     open: bool = False  # not determined: the interval is as wide as the range
 
+    def told(self, name: str, unit: str) -> str:
+        """The value and its interval as text, with the `unit` after the value."""
+        reach = "at the end of its range" if self.bound else f"95 %: {self.low:.4g} to {self.high:.4g}"
+        return f"{name}: {self.value:.4g}{unit} ({reach})"
+
 
 @dataclass(frozen=True)
 class MaterialFit:

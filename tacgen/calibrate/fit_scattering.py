@@ -18,8 +18,7 @@ from tacgen.calibrate import press_faces
 from tacgen.calibrate import unseen as judging
 from tacgen.calibrate.likeness import ChangeLikeness
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.result import Fitted, rgb, rms
-from tacgen.calibrate.unseen import Unseen, folds
+from tacgen.calibrate.unseen import Fitted, Unseen, folds, rgb, rms
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, scattering
 from tacgen.optics.camera import PinholeCamera
