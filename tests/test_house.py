@@ -143,7 +143,7 @@ READERS = {
     # what tacgen has just exported
     **{name: {"read_text"} for name in ("export.lerobot", "report.hub_card")},
     # of the installed package, or of the system
-    **{name: {"read_text"} for name in ("report.catalogue", "report.viewer", "batch.worker_process")},
+    **{name: {"read_text"} for name in ("report.catalogue", "report.html_page", "batch.worker_process")},
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
     "compiled": {"read_bytes"},
 }
