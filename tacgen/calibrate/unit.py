@@ -210,10 +210,9 @@ class Work:
 
     def fitted(self) -> UnitFit:
         """The fit to all presses. Raises UserError: too few presses."""
+        optics = fit_unit.optics(self.view, self.pictures, self.dents)
         try:
-            return fit_unit.fit(
-                fit_unit.optics(self.view, self.pictures, self.dents), self.pictures, self.dents, self.gauge
-            )
+            return fit_unit.fit(optics, self.pictures, self.dents, self.gauge)
         except ValueError as error:
             raise UserError(f"{self.photos.folder / TABLE}: {error}") from None
 
@@ -224,10 +223,6 @@ class Work:
             if depth > DEEP * (deepest := self.dents[k][picture.ball].depth[-1]):
                 yield (f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
                        f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
-
-    def corrected(self, found: UnitFit) -> UnitFit:
-        """The fit less the error that the method makes on rendered pictures of the same presses."""
-        return fit_unit.corrected(found, self.at_thickness(found), self.view, self.pictures, self.dents, self.gauge)
 
     def judged(self) -> tuple[Judged, ...]:
         """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
@@ -296,7 +291,7 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     if wrong := [*work.too_deep(raw), *_undetermined(raw, folder / TABLE)]:
         no_dents = plausible.no_dents(raw.optics.explained, drift)
         raise UserError(f"{folder / TABLE}: {no_dents}" if no_dents else wrong)
-    fitted = work.corrected(raw)
+    fitted = fit_unit.corrected(raw, work.at_thickness(raw), work.view, work.pictures, work.dents, work.gauge)
     judged, lights = work.judged(), work.lights(fitted) if asked.lights else None
     made = Unit(path, sensor, {}, photos, work.gauge, drift, asked, fitted, judged, lights)
     return replace(made, changes=_changes(made, work.at_thickness(fitted)))
