@@ -108,7 +108,7 @@ class Optics:
         return k, float(np.clip((at - logs[k]) / (logs[k + 1] - logs[k]), 0.0, 1.0))
 
     def parts(self, each: Sequence[Any], at: float | None = None) -> tuple[tuple[Any, float], ...]:
-        """Of something for each tried thickness, that for the two around exp(at), by default the best, with weights."""
+        """The elements for the two tried thicknesses around exp(at), by default the best, each with its weight."""
         k, w = self.between(self.best if at is None else at)
         return (each[k], 1 - w), (each[min(k + 1, len(each) - 1)], w)
 
