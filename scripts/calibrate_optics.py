@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tacgen.calibrate import led_fit
+from tacgen.calibrate import light_equations, optics
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -44,11 +44,11 @@ def main() -> None:
     unit = photographs.unit(asked.sensor, asked.photos)
     if unit is None:
         sys.exit(f"no photographs in {asked.photos or photographs.reference()}")
-    how = led_fit.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
+    how = light_equations.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
     with tempfile.TemporaryDirectory() as scratch:
         into = Path(scratch) / "reference"
         lay_out(unit, photographs.UNTOUCHED[asked.sensor], into)
-        found = led_fit.optics(asked.start or asked.sensor, into, how)
+        found = optics.optics(asked.start or asked.sensor, into, how)
         print("\n".join(found.lines()))
         if asked.out:
             found.write(asked.out)

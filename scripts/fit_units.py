@@ -17,11 +17,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
-from tacgen.calibrate import led_fit, press_faces  # noqa: E402
-from tacgen.calibrate.clear_fits import RIDGES, Fits  # noqa: E402
-from tacgen.calibrate.clear_trials import Tolerance  # noqa: E402
+from tacgen.calibrate import optics, press_faces, unseen  # noqa: E402
+from tacgen.calibrate.fit_lights import RIDGES, Fits  # noqa: E402
+from tacgen.calibrate.light_equations import FitLimits  # noqa: E402
 from tacgen.calibrate.photos import Photos  # noqa: E402
-from tacgen.calibrate.result import Fitted, digits, write_sensor  # noqa: E402
+from tacgen.calibrate.plausible import digits, write_sensor  # noqa: E402
 from tacgen.recipe import assets, loading  # noqa: E402
 from tacgen.sensor.model import LitSensor  # noqa: E402
 
@@ -35,16 +35,16 @@ RIDGE = RIDGES[1]  # the shipped file's own fit chose it by presses that it had 
 ROTATED = 5.0  # largest rotation of an LED [deg]
 
 
-def fit(sensor: LitSensor, unit: photographs.Unit, tolerance: float, steps: int) -> Fitted:
+def fit(sensor: LitSensor, unit: photographs.Unit, tolerance: float, steps: int) -> unseen.Fitted:
     """Fit to all presses of a unit; pixels that a dot hides are not compared."""
     photos = Photos(unit.folder, unit.untouched, unit.presses)
     faces = [press_faces.face(sensor, press, {}) for press in unit.presses]
-    trial = Fits(sensor, photos, faces, Tolerance(tolerance, float(np.radians(ROTATED))), bare=True)
+    trial = Fits(sensor, photos, faces, FitLimits(tolerance, ROTATED, bare=True, steps=steps))
     eye = trial.sensor.camera
     for picture, hidden in zip(trial.pictures, (np.any(unit.hidden, axis=0), *unit.hidden), strict=True):
         cells = hidden.reshape(eye.height_px, hidden.shape[0] // eye.height_px, eye.width_px, -1)
         picture.counts[:] &= ~cells.any(axis=(1, 3)).ravel()
-    return trial.whole(RIDGE, steps)
+    return trial.whole(RIDGE)
 
 
 def main() -> None:
@@ -62,8 +62,8 @@ def main() -> None:
             sys.exit(f"no photographs in {photographs.reference() / folder}")
         found = fit(sensor, unit, asked.tolerance_mm, asked.steps)
         said = f"an untouched picture and {len(unit.presses)} presses of another unit ({ORIGIN[folder]})"
-        changes = led_fit.changes_of(sensor, found, said, bare=True)
-        told = {key: text.replace(led_fit.BY, "by scripts/fit_units.py") for key, text in changes.items()
+        changes = optics.changes_of(sensor, found, said, bare=True)
+        told = {key: text.replace(optics.BY, "by scripts/fit_units.py") for key, text in changes.items()
                 if key[-1] == "source"}  # fmt: skip
         what = f"GelSight Mini, lights fitted to photographs of a {name.rpartition('_')[2]} unit, no markers"
         write_sensor(

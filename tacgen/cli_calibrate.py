@@ -39,11 +39,12 @@ def optics(
     as_json: AsJson = False,
 ) -> None:
     """Fit a sensor file to photographs of your own unit: LED radiances and positions, stray light, gloss, crop."""
-    from tacgen.calibrate import led_fit as fitting
+    from tacgen.calibrate import optics as fitting
+    from tacgen.calibrate.light_equations import FitLimits
 
     inputs = [Path(sensor), images]
     allowed((out, figure), inputs, overwrite)
-    fitted = fitting.optics(sensor, images, fitting.FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
+    fitted = fitting.optics(sensor, images, FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
     drawn = figure, "unseen presses, photographed and rendered"
     _finish(fitted, "unit", inputs, drawn, out, anyway=anyway, overwrite=overwrite, as_json=as_json)
 
@@ -104,7 +105,7 @@ def unit(
 ) -> None:
     """Fit gel thickness, moduli, zero of the gauge and lights to photographed ball presses with forces."""
     from tacgen.calibrate import unit as fitting
-    from tacgen.calibrate.led_fit import FitLimits
+    from tacgen.calibrate.light_equations import FitLimits
 
     inputs = [Path(sensor), images]
     allowed((out, plot), inputs, overwrite)

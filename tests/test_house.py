@@ -31,8 +31,8 @@ HOMES = {
     "mitsuba": {"render.mitsuba_path"},
     "drjit": {"render.mitsuba_path"},
     "matplotlib": {
-        *("report.animation", "report.bundle_figure", "report.field_figure", "report.fit_figure", "report.unit_figure"),
-        *("report.picture_rows", "report.force_figure", "report.sheet", "report.viewer"),
+        *("report.animation", "report.bundle_figure", "report.field_figure", "report.fit_figures"),
+        *("report.force_figure", "report.sheet", "report.viewer"),
     },
     "mpl_toolkits": {"report.bundle_figure"},
     "h5py": {"bundle.hdf5_file", "bundle.pack", "doctor", "replay.array_log"},
@@ -105,7 +105,7 @@ READERS = {
     # what tacgen has just exported
     **{name: {"read_text"} for name in ("export.lerobot", "report.hub_card")},
     # of the installed package, or of the system
-    **{name: {"read_text"} for name in ("report.catalogue", "report.viewer", "batch.worker_process")},
+    **{name: {"read_text"} for name in ("report.catalogue", "report.html_page", "batch.worker_process")},
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
     "compiled": {"read_bytes"},
 }

@@ -11,14 +11,11 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from tacgen import array_cache, mechanics
-from tacgen.calibrate.press_forces import DEEPEST, SHALLOWEST
+from tacgen.calibrate import press_faces
+from tacgen.calibrate.press_faces import DEEPEST, SHALLOWEST
 from tacgen.errors import UserError
-from tacgen.mechanics import mesh, presolve
 from tacgen.optics.surface_grid import Untouched
 from tacgen.outputs import gel_surface
-from tacgen.recipe import loading, plan, scene_of_row
-from tacgen.recipe.model import Recipe
-from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
@@ -113,11 +110,11 @@ def _solved(
     sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str
 ) -> tuple[Array, ...]:
     """The arrays of Dents."""
-    built = presolve.presolved(scene_of_row.build(_row(sensor, ball, at, depths, friction, quality)))
-    problem = mechanics.Problem.of(built, mesh.of(built))
+    aims = [{"depth_mm": float(depth)} for depth in depths]
+    problem, states = press_faces.solved_states(press_faces.press_row(sensor, ball, at, aims, quality, friction))
     untouched, found = gel_surface.seen(problem.mesh, len(sensor.gel.clear_layers)), []
     try:
-        for state, depth in zip(mechanics.states(built, problem), depths, strict=False):
+        for state, depth in zip(states, depths, strict=False):
             around = _profile(untouched.pressed(problem, state), Untouched.of(sensor.gel), at, ball, float(depth))
             found.append((mechanics.normal_force(state), *around, _contact(problem, state)))
     except mechanics.NotConverged as error:
@@ -128,18 +125,6 @@ def _solved(
             ) from None
     force, drop, slope, contact = (np.array(part) for part in zip(*found, strict=True))
     return depths[: len(found)], force, drop, slope, contact
-
-
-def _row(sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str) -> Row:
-    """The scene of the presses. Raises UserError: the recipe is refused."""
-    recipe = {
-        "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "quality": quality,
-        "start": {"x_mm": at[0], "y_mm": at[1]}, "contact": {"friction": friction},
-        "indenter": {"shape": "sphere", "radius_mm": ball},
-        "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
-    }  # fmt: skip
-    (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
-    return row
 
 
 def _contact(problem: mechanics.Problem, state: mechanics.State) -> float:

@@ -42,6 +42,11 @@ class Estimate:
     bound: bool = False  # at the end of its range, without an interval
     open: bool = False  # not determined: the interval is as wide as the range
 
+    def told(self, name: str, unit: str) -> str:
+        """The value and its interval as text, with the `unit` after the value."""
+        reach = "at the end of its range" if self.bound else f"95 %: {self.low:.4g} to {self.high:.4g}"
+        return f"{name}: {self.value:.4g}{unit} ({reach})"
+
 
 @dataclass(frozen=True)
 class MaterialFit:
@@ -113,8 +118,9 @@ def fit(
         series = [(at[f"g{i}"], np.exp(at[f"tau{i}"])) for i in range(1, terms + 1)]
         return np.asarray(np.exp(at["modulus"]) * relaxing(curves, measured, at.get("zero", 0.0), second, series))
 
-    start, low, high = np.array([[u.start, u.low, u.high] for u in unknowns]).T
-    unknowns[0] = replace(unknowns[0], start=float(np.log(_factor(force(start), measured.force))))
+    model = force(np.array([unknown.start for unknown in unknowns]))
+    best = float(model @ measured.force) / max(float(model @ model), 1e-300)  # modulus with all others fixed
+    unknowns[0] = replace(unknowns[0], start=float(np.log(np.clip(best, 2 / MOST_FACTOR, MOST_FACTOR / 2))))
     estimates, correlation, at = estimated(force, measured.force, unknowns)
     return MaterialFit(estimates, correlation, force(at), measured)
 
@@ -219,9 +225,3 @@ def _averaged(best: _Weighted, tried: list[_Weighted]) -> Array:
 
 def _residual(force: Callable[[Array], Array], wanted: Array, error: Array, v: Array) -> Array:
     return np.asarray((force(v) - wanted) / error)
-
-
-def _factor(model: Array, wanted: Array) -> float:
-    """The best modulus with all other unknowns fixed, within its range."""
-    best = float(model @ wanted) / max(float(model @ model), 1e-300)
-    return float(np.clip(best, 2 / MOST_FACTOR, MOST_FACTOR / 2))

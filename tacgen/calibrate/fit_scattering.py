@@ -18,8 +18,7 @@ from tacgen.calibrate import press_faces
 from tacgen.calibrate import unseen as judging
 from tacgen.calibrate.likeness import ChangeLikeness
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.result import Fitted, rgb, rms
-from tacgen.calibrate.unseen import Unseen, folds
+from tacgen.calibrate.unseen import Fitted, Unseen, folds, rgb, rms
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, scattering
 from tacgen.optics.camera import PinholeCamera
@@ -201,12 +200,9 @@ class Renders:
 
 def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
     """Radiances (leds, 3) with which maps (leds, h, w, 3) of unit radiance sum to a photograph (H, W, 3)."""
-    h, w = maps.shape[1:3]
-    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
-    shown = np.array([camera_response.expose(one, traced_maps.zoomed(sensor, w).camera) for one in maps])
-    return np.asarray(
-        np.array([nnls(shown[..., c].reshape(len(maps), -1).T, wanted[..., c].ravel())[0] for c in range(3)]).T
-    )
+    shown, wanted = _at_scale(sensor, maps, untouched)
+    each = [nnls(shown[..., c].reshape(len(maps), -1).T, wanted[..., c].ravel())[0] for c in range(3)]
+    return np.array(each).T
 
 
 def gains(sums: Sums, file: Array, ridge: float) -> Array:
@@ -231,11 +227,8 @@ def _seen(
     sensor: LitSensor, renderer: images.Renderer, photos: Photos, press: PhotographedPress, faces: Sequence[Surface]
 ) -> list[RenderedPress]:
     """A press rendered with each of its faces."""
-    view, camera, flat = (
-        CameraView(sensor, renderer.sheet, False),
-        PinholeCamera.from_sensor(sensor),
-        renderer.flat().astype(float),
-    )
+    view, camera = CameraView(sensor, renderer.sheet, False), PinholeCamera.from_sensor(sensor)
+    flat = renderer.flat().astype(float)
     before, after = (
         camera_response.linear(np.maximum(p, 1) / 255.0, sensor.camera).reshape(-1, 3)
         for p in (photos.untouched, press.picture)
@@ -253,9 +246,15 @@ def _seen(
 
 def _off(sensor: LitSensor, maps: Array, untouched: Array) -> float:
     """Misfit [counts] of the untouched picture, rms, at the maps' scale."""
-    h, w = maps.shape[1:3]
-    made = np.einsum("khwc,kc->hwc", maps, [led.light for led in sensor.leds])
-    shown = camera_response.expose(made, traced_maps.zoomed(sensor, w).camera)
-    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
+    lit = np.einsum("khwc,kc->hwc", maps, [led.light for led in sensor.leds])
+    (shown,), wanted = _at_scale(sensor, lit[None], untouched)
     made, real = (camera_response.encoded(light, sensor.camera) for light in (shown, wanted))
     return rms([255 * (made - real)])
+
+
+def _at_scale(sensor: LitSensor, maps: Array, untouched: Array) -> tuple[Array, Array]:
+    """Maps (n, h, w, 3) as the camera exposes them, and the linear photograph (H, W, 3) in their size."""
+    h, w = maps.shape[1:3]
+    camera = traced_maps.zoomed(sensor, w).camera
+    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
+    return np.array([camera_response.expose(one, camera) for one in maps]), wanted

@@ -11,7 +11,7 @@ sectors of the pictures of each recording, and are carried over to the modulus.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,9 @@ from scipy.stats import t as student
 from tacgen.calibrate.ball_dents import POWER, Dents
 from tacgen.calibrate.fit_material import LEVEL, MOST_FACTOR, Estimate, Unknown, estimated
 from tacgen.calibrate.press_colours import Placed, PressPicture, PressView, located, placed, richness
+from tacgen.optics.surface_grid import Surface
+from tacgen.render.images import Renderer
+from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 Pictures = Sequence[PressPicture]
@@ -31,6 +34,9 @@ FINE = 2000  # points between them at which the misfit is interpolated
 SPREAD = 0.05  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
 ABRUPT = 0.03  # of the largest force: change between readings from which its error by the lag exceeds all others
 OWN = 8  # unseen pictures from which they tell their own colours
+SPP = 16  # samples a pixel of rendered pictures, of gels that scatter light
+SURE = 0.5  # of a correction: standard error that it adds
+LIGHTS = 1.5  # blur over that of rendered sharp rims, up to which it comes from the lights alone
 LATEST = 0.2  # [s]: largest lag of a gauge, either way
 
 
@@ -86,9 +92,12 @@ class Optics:
     @property
     def explained(self) -> float:
         """Share of the pictures' changes that the best thickness explains."""
-        k, w = self.between(self.best)
-        left = [one.misfit.sum() for one in self.placed]
-        return float(1 - ((1 - w) * left[k] + w * left[min(k + 1, len(left) - 1)]) / self.placed[0].change)
+        return float(1 - self.mixed([one.misfit.sum() for one in self.placed]) / self.placed[0].change)
+
+    @property
+    def blur(self) -> float:
+        """Blur [mm] of the slopes at the best thickness."""
+        return float(self.mixed([one.blur for one in self.placed]))
 
     def between(self, at: float) -> tuple[int, float]:
         """The tried thickness below exp(at), and the weight of the next one."""
@@ -98,14 +107,17 @@ class Optics:
         k = int(np.clip(np.searchsorted(logs, at) - 1, 0, len(logs) - 2))
         return k, float(np.clip((at - logs[k]) / (logs[k + 1] - logs[k]), 0.0, 1.0))
 
+    def parts(self, each: Sequence[Any], at: float | None = None) -> tuple[tuple[Any, float], ...]:
+        """The elements for the two tried thicknesses around exp(at), by default the best, each with its weight."""
+        k, w = self.between(self.best if at is None else at)
+        return (each[k], 1 - w), (each[min(k + 1, len(each) - 1)], w)
 
-def optics(
-    view: PressView,
-    pictures: Pictures,
-    dents: Tried,
-    *,
-    rich: bool | None = None,
-) -> Optics:
+    def mixed(self, values: Sequence[Any], at: float | None = None) -> Any:
+        """Values at thickness exp(at), by default the best, from those at each tried one."""
+        return sum(share * value for value, share in self.parts(values, at))
+
+
+def optics(view: PressView, pictures: Pictures, dents: Tried, *, rich: bool | None = None) -> Optics:
     """The thickness that suits the pictures best.
 
     Args:
@@ -137,6 +149,32 @@ def _lowest(thickness: Array, misfit: Array) -> float:
 
 
 @dataclass(frozen=True)
+class DentFace:
+    """The face under a ball, from solved presses at two thicknesses."""
+
+    untouched: Surface
+    dents: Sequence[tuple[Dents, float]]  # and the weight of each
+    at_: tuple[float, float, float]  # depth, x, y [mm]
+    blur: float  # of the slopes [mm]
+
+    def at(self, xy: Array) -> Array:
+        """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]; points move along z alone."""
+        depth, x, y = self.at_
+        now = np.array(self.untouched.at(xy))
+        away = np.hypot(now[:, 0] - x, now[:, 1] - y)
+        r = np.linspace(0.0, float(away.max()), 800)
+        drop = np.zeros_like(r)
+        for dents, share in self.dents:
+            sharp, slope = dents.face(depth, r, self.blur)
+            if self.blur:  # the drop of the smoothed slopes, from far away inwards
+                steps = np.diff(r) * (slope[1:] + slope[:-1]) / 2
+                sharp = sharp[-1] - np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+            drop += share * sharp
+        now[:, 2] += np.interp(away, r, drop)
+        return now
+
+
+@dataclass(frozen=True)
 class UnitFit:
     """Estimates; the gauge's readings as fitted (n,) [N] and the depths of the presses (n,) [mm]."""
 
@@ -152,6 +190,12 @@ class UnitFit:
     def open(self) -> list[str]:
         """Names of the numbers that the presses do not determine."""
         return [one.name for one in (self.thickness, self.modulus, self.zero, *self.lags.values()) if one.open]
+
+    def face(self, untouched: Surface, dents: Tried, ball: float, press: int, blur: float = 0.0) -> DentFace:
+        """The face under a press, given by its number and its ball's radius [mm]; `blur` [mm]: of its slopes."""
+        both = self.optics.parts([each[ball] for each in dents])
+        _, x, y = self.optics.placed[self.optics.between(self.optics.best)[0]].at[press]
+        return DentFace(untouched, both, (float(self.depth[press]), float(x), float(y)), blur)
 
 
 def fit(optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge) -> UnitFit:
@@ -172,7 +216,7 @@ def fit(optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge) -> UnitF
     unsure = not 2 / MOST_FACTOR < modulus.value < MOST_FACTOR / 2 or modulus.open
     modulus = Estimate("modulus", modulus.value, float(reach[0]), float(reach[1]), modulus.bound, unsure)
     lags = dict(zip(gauge.timed, estimates[2:], strict=True))
-    depth = _between(optics, [one.at[:, 0] for one in optics.placed], optics.best)
+    depth = optics.mixed([one.at[:, 0] for one in optics.placed])
     return UnitFit(optics, thickness, modulus, estimates[1], lags, values, depth)
 
 
@@ -198,22 +242,13 @@ def _forces(
     return estimates, force(best)
 
 
-def unit_forces(
-    optics: Optics, seen: Sequence[Placed | None], pictures: Pictures, dents: Tried,
-    at: float,
-) -> Array:  # fmt: skip
+def unit_forces(optics: Optics, seen: Sequence[Placed | None], pictures: Pictures, dents: Tried, at: float) -> Array:
     """Forces (n,) [N] at the file's moduli of presses placed at each thickness (next to `at` at least), at thickness
     exp(at) [mm]."""
     rooted = [np.zeros(len(pictures)) if one is None else np.array([
         float(each[p.ball].force_at(d)) ** POWER for p, d in zip(pictures, one.at[:, 0], strict=True)])
         for one, each in zip(seen, dents, strict=True)]  # fmt: skip
-    return np.asarray(_between(optics, rooted, at) ** (1 / POWER))
-
-
-def _between(optics: Optics, values: Sequence[Array], at: float) -> Array:
-    """Values (n,) at thickness exp(at) from those at each tried one."""
-    k, w = optics.between(at)
-    return np.asarray((1 - w) * values[k] + w * values[min(k + 1, len(values) - 1)])
+    return np.asarray(optics.mixed(rooted, at) ** (1 / POWER))
 
 
 @dataclass(frozen=True)
@@ -274,12 +309,55 @@ def judge(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held:
 
 
 def _late(gauge: Gauge, said: Array) -> Array:
-    """Forces as the gauge reads them, with the lag of each timed recording that suits its readings."""
-    return gauge.late(said, {k: _lag(gauge, said, k) for k in gauge.timed})
+    """Forces as the gauge reads them, with the lag of each timed recording with which they are nearest its readings."""
+    tried, lags = np.linspace(-LATEST, LATEST, 161), {}
+    for k in gauge.timed:
+        off = [np.abs(gauge.late(said, {k: lag}) - gauge.force).sum() for lag in tried]
+        lags[k] = float(tried[int(np.argmin(off))])
+    return gauge.late(said, lags)
 
 
-def _lag(gauge: Gauge, said: Array, recording: int) -> float:
-    """The lag [s] of one recording with which said forces are nearest to its readings."""
-    tried = np.linspace(-LATEST, LATEST, 161)
-    off = [np.abs(gauge.late(said, {recording: lag}) - gauge.force).sum() for lag in tried]
-    return float(tried[int(np.argmin(off))])
+def corrected(
+    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge
+) -> UnitFit:
+    """The fit less the error that the method makes on pictures whose numbers are known.
+
+    The polynomial of the colours is not the light's exact response, which shifts thickness and depths, alike in
+    rendered and in photographed pictures. The presses are rendered with the sensor file, `sensor` with the fitted
+    thickness, and fitted once more; thickness, modulus and zero are corrected by what comes out wrong.
+    """
+    steady = Gauge(gauge.force, gauge.recording, np.full(len(gauge.force), np.nan))
+    again = _again(found, sensor, view, pictures, dents, steady, 0.0)
+    mine, lights = found.optics.blur, again.optics.blur
+    if mine > LIGHTS * lights:  # the real rims are softer than the solved ones
+        again = _again(found, sensor, view, pictures, dents, steady, float(np.sqrt(mine**2 - lights**2)))
+    thickness, modulus = (_ratio(one, other.value) for one, other in
+                          ((found.thickness, again.thickness), (found.modulus, again.modulus)))  # fmt: skip
+    shift = found.zero.value - again.zero.value
+    half = np.hypot((found.zero.high - found.zero.low) / 2, 2 * SURE * shift)
+    value = found.zero.value + shift
+    zero = replace(found.zero, value=value, low=float(value - half), high=float(value + half))
+    return replace(found, thickness=thickness if len(dents) > 1 else found.thickness, modulus=modulus, zero=zero)
+
+
+def _again(
+    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, blur: float
+) -> UnitFit:
+    """The fit to rendered pictures of the presses as found, with forces as of the file's moduli times the found."""
+    camera, random = Renderer(sensor, SPP, 0, markers=False), np.random.default_rng(0)
+    flat, made, forces = camera.develop(camera.flat(), random), [], []
+    for n, picture in enumerate(pictures):
+        face = found.face(camera.untouched, dents, picture.ball, n, blur)
+        made.append(view.picture(camera.develop(camera.image(face), random), flat, picture.ball, picture.recording))
+        rooted = sum(share * float(one.force_at(found.depth[n])) ** POWER for one, share in face.dents)
+        forces.append(rooted ** (1 / POWER))
+    read = found.zero.value + found.modulus.value * np.array(forces)
+    return fit(optics(view, made, dents, rich=found.optics.rich), made, dents, replace(gauge, force=read))
+
+
+def _ratio(one: Estimate, again: float) -> Estimate:
+    """An estimate over the ratio by which the second fit is off, with an interval that is wider by its doubt."""
+    shift = float(np.log(one.value / again))
+    half = [np.hypot(np.log(end / one.value), 2 * SURE * shift) for end in (one.low, one.high)]
+    value = one.value * np.exp(shift)
+    return replace(one, value=float(value), low=float(value * np.exp(-half[0])), high=float(value * np.exp(half[1])))

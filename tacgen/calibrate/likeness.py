@@ -10,6 +10,7 @@ import numpy as np
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.photos import PhotographedPress
+from tacgen.calibrate.press_faces import mean_curvature
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
@@ -172,12 +173,11 @@ class Comparison:
         """Rendered dents of balls of random size and place with the camera's noise; `deepest`: largest contact radius
         over the ball's."""
         random, camera = np.random.default_rng(seed), PinholeCamera.from_sensor(self.sensor)
-        gel, untouched = self.sensor.gel, self._renderer.untouched
+        bend, untouched = mean_curvature(self.sensor.gel), self._renderer.untouched
         for _ in range(count):
             ball = float(np.exp(random.uniform(*np.log(BALLS))))
             contact = min(ball * random.uniform(SHARE[0], deepest), WIDEST) / camera.mm_per_px
             center = tuple(float(random.uniform(0, side)) for side in camera.shape[::-1])
-            bend = 0.0 if gel.dome is None else (1 / gel.dome.radius_x_mm + 1 / gel.dome.radius_y_mm) / 2
             face = BallDent.seen(camera, ball, (center[0], center[1]), contact, untouched, bend)
             yield self._seen(self.picture(face, random), self.flat, face, (center[0], center[1]), contact)
 

@@ -4,19 +4,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tacgen.calibrate.plausible import Evidence, SensorFit
-from tacgen.calibrate.result import digits, moduli
+import numpy as np
+
+from tacgen.calibrate import fit_material, press_faces, press_forces
+from tacgen.calibrate.fit_material import MOST_FACTOR, MaterialFit
+from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
+from tacgen.report import fit_figures
 from tacgen.report.sheet import counted
 from tacgen.sensor.layers import IsochoricLayer
 from tacgen.sensor.yaml_source import KeyPath, at, format_path, parse_path
-
-if TYPE_CHECKING:
-    from tacgen.calibrate.fit_material import MaterialFit
 
 CORRELATED = 0.5  # smallest correlation that is reported
 ROWS = 12  # rows of the table that are printed
@@ -51,8 +52,8 @@ class Material(SensorFit):
     """A fit, and simpler fits for comparison."""
 
     asked: Unknowns
-    fitted: "MaterialFit"
-    simpler: "dict[str, MaterialFit]"
+    fitted: MaterialFit
+    simpler: dict[str, MaterialFit]
 
     def lines(self) -> Iterator[str]:
         """Report in text."""
@@ -60,9 +61,7 @@ class Material(SensorFit):
         count, deepest = counted(len(measured.depth), "force"), f"{measured.depth.max():g} mm"
         yield f"{self.sensor.name}: fitted to {count} down to {deepest} ({measured.name})"
         for e in self.fitted.estimates:
-            name, unit = self._named(e.name)
-            reach = "at the end of its range" if e.bound else f"95 %: {e.low:.4g} to {e.high:.4g}"
-            yield f"  {name}: {e.value:.4g}{unit} ({reach})"
+            yield f"  {e.told(*self._named(e.name))}"
         names = [self._named(e.name)[0] for e in self.fitted.estimates]
         for (i, first), (j, other) in combinations(enumerate(names), 2):
             if abs(r := self.fitted.correlation[i, j]) >= CORRELATED:
@@ -87,7 +86,7 @@ class Material(SensorFit):
             "sensor": self.sensor.name, "estimates": estimates, "force_n": self.fitted.force.tolist(),
             "off": self.fitted.off.tolist(), "correlation": self.fitted.correlation.tolist(),
             "simpler": {name: {"modulus": fit["modulus"], "worst": fit.worst} for name, fit in self.simpler.items()},
-            "changes": {format_path(path): value for path, value in self.changes.items()},
+            "changes": self.changed,
         }  # fmt: skip
 
     def evidence(self) -> Evidence:
@@ -96,10 +95,8 @@ class Material(SensorFit):
 
     def draw(self, out: Path) -> None:
         """Plot forces and residuals into `out`."""
-        from tacgen.report import fit_figure
-
-        fitted = self.fitted
-        fit_figure.draw(fitted.measured.depth, fitted.measured.force, fitted.force, fitted.off, out)
+        measured = self.fitted.measured
+        fit_figures.forces_over_depth(measured.depth, measured.force, self.fitted.force, self.fitted.off, out)
 
     def _named(self, name: str) -> tuple[str, str]:
         """The displayed name of a parameter, and the unit after its value."""
@@ -108,7 +105,7 @@ class Material(SensorFit):
         return plain.get(name) or ((second, "") if name == "second" else (name, " s" if name[0] == "t" else ""))
 
 
-def _changes(row: Row, second: str, fitted: "MaterialFit") -> dict[KeyPath, Any]:
+def _changes(row: Row, second: str, fitted: MaterialFit) -> dict[KeyPath, Any]:
     """Changed values of the sensor file by path; `second`: the path of the second parameter."""
     out: dict[KeyPath, Any] = {}
     if second.startswith("sensor."):
@@ -137,10 +134,6 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     Raises:
         UserError: unreadable or unusable input, or a press for which the solver fails.
     """
-    import numpy as np
-
-    from tacgen.calibrate import fit_material, press_forces
-
     asked, measured, path = asked or Unknowns(), press_forces.read(table), assets.sensor_path(sensor)
     sets = (f"sensor={path.resolve()}",)
     rows = plan.load(assets.recipe_path(recipe), sets).rows
@@ -151,7 +144,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     if asked.terms and measured.time is None:
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
     deepest, start = float(measured.depth.max()), rows[0].recipe.start
-    if said := press_forces.depth_problem(
+    if said := press_faces.depth_problem(
         rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.MARGIN
     ):
         raise UserError(f"{table}: depth_mm: the largest {said}")
@@ -180,10 +173,8 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     return Material(path, rows[0].sensor, _changes(rows[0], asked.path, fitted), asked, fitted, simpler)
 
 
-def _undetermined(fitted: "MaterialFit", second: str) -> Iterator[str]:
+def _undetermined(fitted: MaterialFit, second: str) -> Iterator[str]:
     """A message on the numbers that the forces do not determine, and what to measure."""
-    from tacgen.calibrate.fit_material import MOST_FACTOR
-
     if not 2 / MOST_FACTOR < fitted["modulus"] < MOST_FACTOR / 2:
         yield f"forces are as of a modulus {fitted['modulus']:.3g} times the file's: are they in N, and depths in mm?"
         return

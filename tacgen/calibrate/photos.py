@@ -1,4 +1,8 @@
-"""A folder of photographs of a unit: untouched, and with balls pressed into it, each a row of presses.csv."""
+"""A folder of photographs of a unit: untouched, and with balls pressed into it, each a row of presses.csv.
+
+`read` takes presses of known place for `calibrate optics`, `read_gauged` presses with the readings of a gauge for
+`calibrate unit`.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +24,10 @@ MOST_SATURATED = 0.01  # largest share of saturated pixels
 UNCHANGED = 0.5  # counts: standard deviation of the change over a picture, below which it shows no press
 RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "depth_mm": (1e-3, np.inf),
           "force_n": (1e-3, 1e6)}  # fmt: skip
+GAUGED = ("file", "ball_radius_mm", "force_n")
+LARGEST = 1e6  # [N], [s]: readings and times
+LEAST_GAUGED = 4  # presses that show something
+MOST_BALLS = 5  # sizes: each takes minutes to solve
 
 
 @dataclass(frozen=True)
@@ -50,12 +58,35 @@ class Photos:
     presses: tuple[PhotographedPress, ...]
 
 
+@dataclass(frozen=True)
+class GaugedPress:
+    """A photographed press with the reading of a gauge."""
+
+    name: str
+    picture: Array  # (H, W, 3), 8 bit
+    untouched: Array  # (H, W, 3), 8 bit
+    ball: float  # radius [mm]
+    force: float  # [N], pressed into the gel positive
+    recording: str
+    time: float  # [s]; nan if not given
+
+
+@dataclass(frozen=True)
+class GaugedPhotos:
+    """All presses of one unit with a gauge."""
+
+    folder: Path
+    presses: tuple[GaugedPress, ...]
+
+    @property
+    def recordings(self) -> list[str]:
+        """Names of the recordings, in the table's order."""
+        return list(dict.fromkeys(press.recording for press in self.presses))
+
+
 def read(folder: Path, camera: Camera) -> Photos:
     """The photographs in a folder. Raises UserError: all that are missing or cannot be used, a line each."""
-    picture = next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
-    wrong: list[str] = []
-    if not folder.is_dir():
-        raise UserError(f"{folder}: no such folder")
+    picture, wrong = _untouched(folder), list[str]()
     if picture is None:
         wrong.append(f"{folder}: holds no background.png, the photograph of the untouched sensor")
     untouched = np.zeros(0) if picture is None else read_picture(picture, camera, wrong)
@@ -65,11 +96,18 @@ def read(folder: Path, camera: Camera) -> Photos:
         press = _press(folder, line, row, camera, wrong)
         presses += [press] if press else []
     for press in presses if not wrong else ():
-        if (press.picture.astype(float) - untouched).std(axis=(0, 1)).max() < UNCHANGED:
+        if not _shows(press.picture, untouched):
             wrong.append(f"{folder / press.name}: shows no press: it is like the untouched picture")
     if wrong:
         raise UserError(wrong)
     return Photos(folder, untouched, tuple(presses))
+
+
+def _untouched(folder: Path) -> Path | None:
+    """The photograph of the untouched sensor, if there is one. Raises UserError: there is no such folder."""
+    if not folder.is_dir():
+        raise UserError(f"{folder}: no such folder")
+    return next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
 
 
 def read_picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
@@ -91,6 +129,11 @@ def read_picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
     if picture.mean() < DARK:
         wrong.append(f"{path}: is dark, {picture.mean():.1f} of 255 in the mean: are the LEDs on?")
     return picture
+
+
+def _shows(picture: Array, untouched: Array) -> bool:
+    """Whether a picture (H, W, 3) shows a press."""
+    return bool((picture.astype(float) - untouched).std(axis=(0, 1)).max() >= UNCHANGED)
 
 
 def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> PhotographedPress | None:
@@ -129,3 +172,62 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
         name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"), number.get("force_n"),
         camera.aspect,
     )  # fmt: skip
+
+
+def read_gauged(folder: Path, camera: Camera) -> GaugedPhotos:
+    """The presses of a folder. Raises UserError: all that are missing or cannot be used, a line each."""
+    usual, wrong = _untouched(folder), list[str]()
+    pictures, presses = dict[str, Array](), list[GaugedPress]()
+    for line, row in csv_table.rows(folder / TABLE, GAUGED, (), wrong):
+        said, before = f"{folder / TABLE}:{line}", len(wrong)
+        force, time = _number(row, "force_n", said, wrong), np.nan
+        if row.get("time_s"):
+            time = _number(row, "time_s", said, wrong)
+        ball, (low, high) = csv_table.number(row["ball_radius_mm"]), RANGES["ball_radius_mm"]
+        if not low <= ball <= high:
+            wrong.append(f"{said}: ball_radius_mm: must be from {low:g} to {high:g} (got {row['ball_radius_mm']!r})")
+        plain = row.get("untouched") or (usual.name if usual else "")
+        if not plain:
+            wrong.append(f"{said}: has no untouched picture: {folder / UNTOUCHED[0]}, or one named in `untouched`")
+        for name in (row["file"], plain):
+            if name and name not in pictures and len(wrong) == before:
+                pictures[name] = read_picture(folder / name, camera, wrong)
+        if not row["file"]:
+            wrong.append(f"{said}: file: is missing")
+        if len(wrong) == before:
+            recording = row.get("recording") or f"press {len(presses) + 1}"
+            both = pictures[row["file"]], pictures[plain]
+            presses.append(GaugedPress(row["file"], *both, ball, force, recording, time))
+    if not wrong:
+        wrong += _problems(folder, presses)
+    if wrong:
+        raise UserError(wrong)
+    return GaugedPhotos(folder, tuple(presses))
+
+
+def _number(row: dict[str, str], column: str, said: str, wrong: list[str]) -> float:
+    value = csv_table.number(row[column])
+    if not abs(value) < LARGEST:
+        wrong.append(f"{said}: {column}: must be a number below {LARGEST:g} (got {row[column]!r})")
+    return value
+
+
+def _problems(folder: Path, presses: list[GaugedPress]) -> list[str]:
+    """Problems of all presses together, a line each."""
+    table, wrong = folder / TABLE, []
+    shown = sum(_shows(press.picture, press.untouched) for press in presses)
+    if shown < LEAST_GAUGED:
+        wrong.append(f"{table}: {shown} of its pictures show a press, and a fit takes {LEAST_GAUGED} at least")
+    forces = [press.force for press in presses]
+    if presses and not max(forces) > 0:
+        wrong.append(f"{table}: force_n: holds no press: forces count positive into the gel")
+    if presses and max(forces) == min(forces):
+        wrong.append(f"{table}: force_n: all forces are alike: press lightly and hard")
+    if (count := len({press.ball for press in presses})) > MOST_BALLS:
+        wrong.append(f"{table}: ball_radius_mm: has {count} sizes, and {MOST_BALLS} are the most")
+    seen: set[tuple[str, float]] = set()
+    for press in presses:
+        if (press.recording, press.time) in seen:
+            wrong.append(f"{table}: {press.name}: time_s: {press.time:.15g} is there twice in {press.recording}")
+        seen |= {(press.recording, press.time)} if np.isfinite(press.time) else set()
+    return wrong

@@ -1,19 +1,22 @@
 """Whether a fit is plausible, and the sensor file written from it: every `calibrate` command writes its fit here."""
 
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from tacgen.calibrate.result import rms, write_sensor
+from tacgen import output_file
 from tacgen.errors import UserError
-from tacgen.recipe import loading, sensor_checks
+from tacgen.recipe import assets, loading, sensor_checks
 from tacgen.sensor import usual_values, yaml_source
-from tacgen.sensor.model import Sensor
-from tacgen.sensor.yaml_source import KeyPath, Source, format_path
+from tacgen.sensor.layers import Layer
+from tacgen.sensor.model import LIGHTS, LitSensor, Sensor
+from tacgen.sensor.validation_messages import Issue, report
+from tacgen.sensor.yaml_source import KeyPath, Source, Tree, format_path
 
 Array = np.ndarray
 FLOOR = 0.05  # of the largest force: errors of smaller forces are relative to this
@@ -54,6 +57,11 @@ class SensorFit(ABC):
     @abstractmethod
     def evidence(self) -> Evidence:
         """Grounds on which the fit is judged."""
+
+    @property
+    def changed(self) -> dict[str, Any]:
+        """The changed values by their paths as text."""
+        return {format_path(path): value for path, value in self.changes.items()}
 
     def head(self) -> Iterator[str]:
         """Lines of a comment at the head of the written file."""
@@ -102,7 +110,7 @@ def _of_evidence(known: Evidence) -> Iterator[str]:
     if known.force is not None:
         fitted, measured, doubt = known.force
         each = np.abs(off(fitted, measured)) / doubt
-        worst, whole = int(each.argmax()), rms([fitted - measured]) / rms([measured])
+        worst, whole = int(each.argmax()), float(np.linalg.norm(fitted - measured) / np.linalg.norm(measured))
         if whole > FAR or each[worst] > FARTHEST:
             yield (f"the fitted forces do not follow the measured ones: off by {100 * whole:.0f} % rms, and"
                    f" {fitted[worst]:.3g} N where {measured[worst]:.3g} N was measured")  # fmt: skip
@@ -110,3 +118,37 @@ def _of_evidence(known: Evidence) -> Iterator[str]:
         yield said
     if known.unseen:
         yield known.unseen
+
+
+def lit_sensor(path: Path) -> tuple[LitSensor, Tree]:
+    """The sensor of a file, and its text. Raises UserError: lights are missing."""
+    sensor, tree = loading.read_sensor(path)
+    if not sensor.lit:
+        missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
+        problem = Issue((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
+        raise report([(problem, tree)])
+    return cast(LitSensor, sensor), tree
+
+
+def digits(value: Any) -> Any:
+    """Numbers with four significant digits."""
+    if isinstance(value, tuple):
+        return [digits(v) for v in value]
+    return float(f"{value:.4g}")
+
+
+def moduli(layer: Layer) -> Iterator[str]:
+    """The keys of a layer's moduli; forces are proportional to all of them together."""
+    for key in type(layer).model_fields:
+        if key.endswith("_mpa") and getattr(layer, key) is not None:
+            yield key
+
+
+def write_sensor(path: Path, sensor: Sensor, changes: Mapping[KeyPath, Any], out: Path, head: str = "") -> None:
+    """Write a sensor file with changes below a `head`; comments are kept, and the path of a solid gel is adapted to the
+    new place."""
+    changes = dict(changes)
+    if sensor.gel.solid is not None:
+        solid = assets.mesh_path(sensor.gel.solid.file, path.parent)
+        changes[loading.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
+    output_file.put(out, (head + yaml_source.edited(path, changes)).encode(), overwrite=True)

@@ -37,6 +37,7 @@ FAINT = 0.3  # of the loudest picture's change: fainter dents start where the lo
 LEAST_RECORDINGS = 6  # from which colours may vary over the picture
 USUAL_BLUR = 0.1  # over the gel's thickness: where the two kinds of colours are compared
 SECTORS = 6  # angles around the centre over which the misfit is kept apart
+LEAST_DRIFT = 4  # pictures of a sequence from which a drift can be told
 BLUR, BLUR_STEP = 0.4, 0.04  # largest blur of the slopes over the gel's thickness, and its tolerance
 
 
@@ -253,3 +254,34 @@ def _step(
     low, high = 0.7 * at[0] - 0.02, 1.5 * at[0] + 0.02  # no further in one round
     step[0] = np.clip(np.clip(at[0] + step[0], low, high), LEAST, dents.depth[-1]) - at[0]
     return np.asarray(step)
+
+
+def drift(pictures: Sequence[PressPicture], recording: Array, time: Array) -> float:
+    """Share of the pictures' squared changes that needs no dent: the better one of two drifts of the light explains it.
+
+    Smooth light: see `PressView.picture`. In time: one pattern that changes linearly, with each picture predicted from
+    the others of its recording; pictures without time count in their order, and those of short recordings together.
+
+    Args:
+        recording: the recording of each picture (n,).
+        time: its time (n,) [s], nan where none is known.
+    """
+    whole = sum(float((one.change**2).sum()) for one in pictures)
+    long = [k for k in np.unique(recording) if (recording == k).sum() >= LEAST_DRIFT]
+    rest = ~np.isin(recording, long)
+    part = 0.0
+    for where in (*(recording == k for k in long), rest):
+        here, times = np.flatnonzero(where), time[where]
+        if len(here) >= LEAST_DRIFT:
+            known = np.isfinite(times).all() and where is not rest
+            changes = np.array([pictures[int(k)].change.ravel() for k in here])
+            part += _in_time(changes, times if known else np.arange(len(here)))
+    return max(part, sum(one.smooth for one in pictures)) / whole
+
+
+def _in_time(changes: Array, time: Array) -> float:
+    """Sum of squares of changes (n, values) that lines over the time (n,) predict, each from the other rows."""
+    table = np.column_stack([np.ones(len(time)), time - time.mean()])
+    hat = table @ np.linalg.pinv(table)
+    left = (changes - hat @ changes) / np.maximum(1 - np.diag(hat), 1e-9)[:, None]
+    return max(0.0, float((changes**2).sum() - (left**2).sum()))

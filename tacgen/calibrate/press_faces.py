@@ -1,13 +1,13 @@
-"""The face under a photographed ball."""
+"""Presses of a ball, solved: the face under a photographed ball, and which presses can be solved."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from tacgen import mechanics
-from tacgen.calibrate import press_forces
 from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh, presolve
@@ -18,8 +18,30 @@ from tacgen.outputs import gel_surface
 from tacgen.recipe import loading, plan, scene_of_row
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.row import Row
-from tacgen.sensor.model import LitSensor
+from tacgen.sensor.model import Gel, LitSensor
 from tacgen.sensor.yaml_source import KeyPath
+
+# Over the thickness of the gel [-]. Below, the contact is smaller than the mesh's cells (depths in metres are, in any
+# gel); above, the elements between indenter and base are crushed, and solves fail or take minutes.
+SHALLOWEST, DEEPEST = 0.005, 0.6
+
+
+def place_problem(gel: Gel, at: tuple[float, float]) -> str:
+    """Why nothing can be pressed at (x, y) [mm]; empty if it can."""
+    if abs(at[0]) <= gel.width_mm / 2 and abs(at[1]) <= gel.height_mm / 2:
+        return ""
+    return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
+
+
+def depth_problem(gel: Gel, depth: float, at: tuple[float, float], deeper: float) -> str:
+    """Why a press to a depth [mm] at (x, y) [mm], and to `deeper` times that, cannot be solved; empty if it can."""
+    if said := place_problem(gel, at):
+        return said
+    thick = gel.thickness_mm - gel.drop_mm(*at)
+    low, high = SHALLOWEST * thick, DEEPEST * thick / deeper
+    if low <= depth <= high:
+        return ""
+    return f"must be from {low:.3g} to {high:.3g} mm in a gel of {thick:.3g} mm there (got {depth:.3g}): is it in mm?"
 
 
 def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
@@ -27,17 +49,49 @@ def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
     that lie beside the gel, a line each."""
     wrong = []
     for press in photos.presses:
-        if not press.solved:
-            continue
         at = place(sensor, press.center, 0.0)
-        if press.depth is None:
-            column, said = "force_n", press_forces.place_problem(sensor.gel, at)
+        if press.depth is not None:
+            column, said = "depth_mm", depth_problem(sensor.gel, press.depth, at, deeper)
         else:
-            column, said = "depth_mm", press_forces.depth_problem(sensor.gel, press.depth, at, deeper)
+            column, said = "force_n", place_problem(sensor.gel, at) if press.solved else ""
         if said:
             wrong.append(f"{photos.folder / press.name}: {column}: {said}")
     if wrong:
         raise UserError(wrong)
+
+
+def press_row(
+    sensor: LitSensor, ball: float, at: tuple[float, float], aims: Sequence[Mapping[str, float]], quality: str,
+    friction: float = 0.0,
+) -> Row:  # fmt: skip
+    """The scene of presses of a ball of radius `ball` [mm] at (x, y) [mm], with a recipe's aim of each press.
+
+    Raises UserError: the recipe is refused.
+    """
+    recipe = {
+        "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "quality": quality,
+        "start": {"x_mm": at[0], "y_mm": at[1]}, "contact": {"friction": friction},
+        "indenter": {"shape": "sphere", "radius_mm": ball},
+        "trajectory": [{"press": {**aim, "frames": 1}} for aim in aims],
+    }  # fmt: skip
+    (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
+    return row
+
+
+def solved_states(row: Row) -> tuple[mechanics.Problem, Iterator[mechanics.State]]:
+    """The problem of a scene and its states, a frame each. The iterator raises NotConverged where the solver fails."""
+    built = presolve.presolved(scene_of_row.build(row))
+    problem = mechanics.Problem.of(built, mesh.of(built))
+    return problem, mechanics.states(built, problem)
+
+
+def faces(row: Row) -> Iterator[gel_surface.GelSurface]:
+    """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
+    problem, states = solved_states(row)
+    untouched = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
+    yield untouched
+    for state in states:
+        yield untouched.pressed(problem, state)
 
 
 def face(sensor: LitSensor, press: PhotographedPress, folders: dict[KeyPath, Path]) -> Surface:
@@ -46,59 +100,33 @@ def face(sensor: LitSensor, press: PhotographedPress, folders: dict[KeyPath, Pat
     if press.depth is not None:
         return solved(sensor, press, [press.depth], folders)[0]
     if press.force is not None:
-        return _solved(sensor, press, [{"force_n": press.force}], 0.0, folders, "default")[0]
+        return solved(sensor, press, [press.force], folders, aim="force_n")[0]
     assert press.contact is not None
-    dome = sensor.gel.dome
-    bend = 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
     untouched, camera = Untouched.of(sensor.gel), PinholeCamera.from_sensor(sensor)
-    return BallDent.seen(camera, press.ball, press.center, press.contact, untouched, bend)
+    return BallDent.seen(camera, press.ball, press.center, press.contact, untouched, mean_curvature(sensor.gel))
+
+
+def mean_curvature(gel: Gel) -> float:
+    """Mean curvature [1/mm] of the untouched face at its top."""
+    dome = gel.dome
+    return 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
 
 
 def solved(
-    sensor: LitSensor,
-    press: PhotographedPress,
-    depths: Sequence[float],
-    folders: dict[KeyPath, Path],
-    quality: str = "default",
-) -> Sequence[Surface]:
-    """Solved faces at increasing depths [mm], at the position of the ball in the photograph.
+    sensor: LitSensor, press: PhotographedPress, aims: Sequence[float], folders: dict[KeyPath, Path],
+    quality: str = "default", aim: Literal["depth_mm", "force_n"] = "depth_mm",
+) -> Sequence[Surface]:  # fmt: skip
+    """Solved faces at increasing depths [mm] or forces [N], at the position of the ball in the photograph.
 
     Raises UserError: the solver fails.
     """
-    aims = [{"depth_mm": float(depth)} for depth in depths]
-    return _solved(sensor, press, aims, float(np.mean(depths)), folders, quality)
-
-
-def _solved(
-    sensor: LitSensor,
-    press: PhotographedPress,
-    aims: Sequence[dict[str, float]],
-    depth: float,
-    folders: dict[KeyPath, Path],
-    quality: str,
-) -> Sequence[Surface]:
-    """Solved faces at the aims of a recipe's presses; `depth` [mm]: of the face where the camera sees the ball."""
-    x, y = place(sensor, press.center, depth)
-    recipe = {
-        "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "start": {"x_mm": x, "y_mm": y},
-        "indenter": {"shape": "sphere", "radius_mm": press.ball}, "quality": quality,
-        "trajectory": [{"press": {**aim, "frames": 1}} for aim in aims],
-    }  # fmt: skip
+    depth = float(np.mean(aims)) if aim == "depth_mm" else 0.0  # of the face where the camera sees the ball
     try:
-        (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
+        at = place(sensor, press.center, depth)
+        row = press_row(sensor, press.ball, at, [{aim: float(value)} for value in aims], quality)
         return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
     except (UserError, mechanics.NotConverged) as error:
         raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None
-
-
-def faces(row: Row) -> Iterator[gel_surface.GelSurface]:
-    """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
-    built = presolve.presolved(scene_of_row.build(row))
-    problem = mechanics.Problem.of(built, mesh.of(built))
-    untouched = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
-    yield untouched
-    for state in mechanics.states(built, problem):
-        yield untouched.pressed(problem, state)
 
 
 def place(sensor: LitSensor, pixel: tuple[float, float], depth: float) -> tuple[float, float]:

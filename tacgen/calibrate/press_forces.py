@@ -7,12 +7,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from tacgen import csv_table, mechanics
+from tacgen.calibrate import press_faces
 from tacgen.errors import UserError
-from tacgen.mechanics import mesh, presolve
-from tacgen.recipe import scene_of_row
 from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment
-from tacgen.sensor.model import Gel
 
 Array = np.ndarray
 LEAST = 3  # rows of a table at least
@@ -20,9 +18,6 @@ NODES = 12  # depths at which a curve is solved
 MARGIN = 0.1  # of the largest depth: range of the unknown depth of first touch
 LARGEST = 1e6  # of any number: no press has 1 MN, or lasts for 11 days
 POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
-# Over the thickness of the gel [-]. Below, the contact is smaller than the mesh's cells (depths in metres are, in any
-# gel); above, the elements between indenter and base are crushed, and solves fail or take minutes.
-SHALLOWEST, DEEPEST = 0.005, 0.6
 
 
 @dataclass(frozen=True)
@@ -69,32 +64,13 @@ def solved(row: Row, depths: Array) -> Array:
     """
     presses = tuple(Segment(press=Press(depth_mm=float(depth), frames=1)) for depth in depths)
     recipe = row.recipe.model_copy(update={"trajectory": presses, "dynamics": None})
-    built = presolve.presolved(scene_of_row.build(replace(row, recipe=recipe)))
-    problem = mechanics.Problem.of(built, mesh.of(built))
     forces: list[float] = []
     try:
-        forces.extend(mechanics.normal_force(state) for state in mechanics.states(built, problem))
+        _, states = press_faces.solved_states(replace(row, recipe=recipe))
+        forces.extend(mechanics.normal_force(state) for state in states)
     except mechanics.NotConverged as error:
         raise UserError(f"{row.recipe.name}: at a depth of {depths[len(forces)]:.3g} mm: {error}") from None
     return np.array(forces)
-
-
-def place_problem(gel: Gel, at: tuple[float, float]) -> str:
-    """Why nothing can be pressed at (x, y) [mm]; empty if it can."""
-    if abs(at[0]) <= gel.width_mm / 2 and abs(at[1]) <= gel.height_mm / 2:
-        return ""
-    return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
-
-
-def depth_problem(gel: Gel, depth: float, at: tuple[float, float], deeper: float) -> str:
-    """Why a press to a depth [mm] at (x, y) [mm], and to `deeper` times that, cannot be solved; empty if it can."""
-    if said := place_problem(gel, at):
-        return said
-    thick = gel.thickness_mm - gel.drop_mm(*at)
-    low, high = SHALLOWEST * thick, DEEPEST * thick / deeper
-    if low <= depth <= high:
-        return ""
-    return f"must be from {low:.3g} to {high:.3g} mm in a gel of {thick:.3g} mm there (got {depth:.3g}): is it in mm?"
 
 
 def depths_for(largest: float) -> Array:

@@ -1,28 +1,35 @@
 """Calibration of a sensor file to one unit: gel thickness, modulus, zero of the gauge and lights from ball presses."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
-from tacgen.calibrate import plausible
-from tacgen.calibrate.led_fit import FitLimits, changes_of
-from tacgen.calibrate.plausible import Evidence, SensorFit
-from tacgen.calibrate.result import digits, moduli
+import numpy as np
+
+from tacgen.calibrate import ball_dents, fit_lights, fit_unit, plausible, press_colours, unseen
+from tacgen.calibrate import photos as reading
+from tacgen.calibrate.ball_dents import Dents, with_thickness
+from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
+from tacgen.calibrate.light_equations import FitLimits
+from tacgen.calibrate.optics import changes_of
+from tacgen.calibrate.photos import TABLE, GaugedPhotos, PhotographedPress, Photos
+from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
+from tacgen.calibrate.press_colours import PressPicture, PressView
+from tacgen.calibrate.unseen import Fitted
 from tacgen.errors import UserError
-from tacgen.recipe import assets, loading
-from tacgen.sensor.model import LIGHTS, LitSensor
-from tacgen.sensor.validation_messages import Issue, report
+from tacgen.optics.camera import PinholeCamera
+from tacgen.optics.surface_grid import Untouched
+from tacgen.recipe import assets
+from tacgen.report import fit_figures
+from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath, format_path
-
-if TYPE_CHECKING:
-    from tacgen.calibrate.fit_material import Estimate
-    from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
-    from tacgen.calibrate.result import Fitted
-    from tacgen.calibrate.unit_photos import UnitPhotos
 
 BY = "by tacgen calibrate unit"
 EXPLAINED = 0.3  # least share of the pictures' changes that dents of the given balls explain
+WIDER, GRADE = 1.2, 1.25  # contact radius that is solved, over the largest rough one; and its steps
+SHOWN = 6  # presses to which lights are fitted
+DEEPER = 0.4  # of the deepest press: least depth of those
 DEEP = 0.999  # of the largest depth that is solved
 MEASURE = {
     "thickness": "press until the contact is wider than the gel is thick, also with a larger ball, or give"
@@ -49,13 +56,13 @@ class Unit(SensorFit):
     """A fitted unit, and its judgement on presses that fits have not seen."""
 
     sensor: LitSensor
-    photos: "UnitPhotos"
-    gauge: "Gauge"
+    photos: GaugedPhotos
+    gauge: Gauge
     drift: float  # share of the pictures' changes that light explains which drifts, without any dent
     asked: Asked
-    fitted: "UnitFit"
-    judged: "tuple[Judged, ...]"  # each of some held-out presses
-    lights: "Fitted | None"
+    fitted: UnitFit
+    judged: tuple[Judged, ...]  # each of some held-out presses
+    lights: Fitted | None
 
     @property
     def lit(self) -> bool:
@@ -93,18 +100,18 @@ class Unit(SensorFit):
     def found(self) -> Iterator[str]:
         """Each number with its interval."""
         fitted, gel = self.fitted, self.sensor.gel
-        yield _shown(fitted.thickness, "thickness", " mm") if self.asked.thickness else (
+        yield fitted.thickness.told("thickness", " mm") if self.asked.thickness else (
             f"thickness: {gel.thickness_mm:g} mm, the file's")  # fmt: skip
-        yield _shown(fitted.modulus, "moduli", " times the file's")
+        yield fitted.modulus.told("moduli", " times the file's")
         for layer in gel.layers:
             for key in moduli(layer):
                 low, value, high = (getattr(layer, key) * m for m in (
                     fitted.modulus.low, fitted.modulus.value, fitted.modulus.high))  # fmt: skip
                 yield f"{layer.name} {key}: {value:.4g} (95 %: {low:.4g} to {high:.4g})"
-        yield _shown(fitted.zero, "zero of the gauge", " N")
+        yield fitted.zero.told("zero of the gauge", " N")
         names = self.photos.recordings
         for k, lag in fitted.lags.items():
-            yield _shown(lag, f"lag of the gauge in recording {names[k]}", " s")
+            yield lag.told(f"lag of the gauge in recording {names[k]}", " s")
 
     def unseen(self) -> Iterator[str]:
         """Errors of forces that a fit has not seen, beside what they would be without pictures and at best."""
@@ -133,7 +140,7 @@ class Unit(SensorFit):
             "unseen": [one.plain() for one in self.judged],
             "lights": None if self.lights is None else {"untouched": self.lights.untouched,
                                                         "before": self.lights.before, "used": self.lit},
-            "changes": {format_path(key): value for key, value in self.changes.items()},
+            "changes": self.changed,
         }  # fmt: skip
 
     def head(self) -> Iterator[str]:
@@ -156,18 +163,113 @@ class Unit(SensorFit):
 
     def draw(self, out: Path) -> None:
         """Plot fitted over measured forces, seen and unseen, into `out`."""
-        from tacgen.report import unit_figure
-
         seen = [
             (press.force, float(force)) for press, force in zip(self.photos.presses, self.fitted.force, strict=True)
         ]
         unseen = [pair for one in self.judged for pair in zip(one.force, one.predicted, strict=True)]
-        unit_figure.draw(seen, unseen, out)
+        fit_figures.computed_over_measured(seen, unseen, out)
 
 
-def _shown(one: "Estimate", name: str, unit: str) -> str:
-    reach = "at the end of its range" if one.bound else f"95 %: {one.low:.4g} to {one.high:.4g}"
-    return f"{name}: {one.value:.4g}{unit} ({reach})"
+@dataclass(frozen=True)
+class Work:
+    """All that the steps share."""
+
+    sensor: LitSensor
+    photos: GaugedPhotos
+    asked: Asked
+    view: PressView
+    pictures: tuple[PressPicture, ...]
+    gauge: Gauge
+    dents: tuple[Mapping[float, Dents], ...]  # by tried thickness, then by the ball's radius
+
+    @classmethod
+    def of(cls, sensor: LitSensor, photos: GaugedPhotos, asked: Asked) -> "Work":
+        """Solve presses of each ball at each tried thickness; minutes, unless they are in the cache.
+
+        Raises UserError: presses that cannot be solved.
+        """
+        view, number = PressView(sensor), {name: k for k, name in enumerate(photos.recordings)}
+        pictures = tuple(view.picture(p.picture, p.untouched, p.ball, number[p.recording]) for p in photos.presses)
+        gauge = Gauge(*(np.array(part) for part in zip(
+            *((p.force, number[p.recording], p.time) for p in photos.presses), strict=True)))  # fmt: skip
+        rough = view.starts(pictures)
+        step = sensor.gel.thickness_mm / 2  # rounded, so that other presses of the unit find them in the cache
+        x, y = (float(step * np.round(v / step)) for v in np.median(rough[:, 1:], axis=0))
+        tried = fit_unit.FACTORS if asked.thickness else (1.0,)
+        dents = []
+        for factor in tried:
+            one = with_thickness(sensor, factor * sensor.gel.thickness_mm)
+            each = {}
+            for ball in sorted({picture.ball for picture in pictures}):
+                here = [k for k, picture in enumerate(pictures) if picture.ball == ball]
+                widest = np.log(WIDER * np.sqrt(1.6 * ball * rough[here, 0].max())) / np.log(GRADE)
+                most = round(float(GRADE ** np.ceil(widest)), 3)
+                each[ball] = ball_dents.solved(one, ball, (x, y), most, asked.friction, asked.quality)
+            dents.append(each)
+        return cls(sensor, photos, asked, view, pictures, gauge, tuple(dents))
+
+    def fitted(self) -> UnitFit:
+        """The fit to all presses. Raises UserError: too few presses."""
+        optics = fit_unit.optics(self.view, self.pictures, self.dents)
+        try:
+            return fit_unit.fit(optics, self.pictures, self.dents, self.gauge)
+        except ValueError as error:
+            raise UserError(f"{self.photos.folder / TABLE}: {error}") from None
+
+    def too_deep(self, found: UnitFit) -> Iterator[str]:
+        """A line on each press that is deeper than what is solved."""
+        k = found.optics.between(found.optics.best)[0]
+        for press, picture, depth in zip(self.photos.presses, self.pictures, found.depth, strict=True):
+            if depth > DEEP * (deepest := self.dents[k][picture.ball].depth[-1]):
+                yield (f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
+                       f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
+
+    def judged(self) -> tuple[Judged, ...]:
+        """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
+        names = self.photos.recordings
+        group = self.gauge.recording if len(names) > 1 else np.arange(len(self.pictures))
+        out = []
+        for held in unseen.folds(int(group.max()) + 1):
+            where = np.isin(group + 1, held)
+            name = (
+                ", ".join(names[k - 1] for k in held)
+                if len(held) == 1 and len(names) > 1
+                else f"{where.sum()} held out"
+            )
+            try:
+                _, found = fit_unit.judge(self.view, self.pictures, self.dents, self.gauge, where)
+            except ValueError:
+                continue  # the others are too few
+            out.append(replace(found, name=name))
+        return tuple(out)
+
+    def at_thickness(self, fitted: UnitFit) -> LitSensor:
+        """The sensor with the fitted thickness."""
+        return with_thickness(self.sensor, fitted.thickness.value) if self.asked.thickness else self.sensor
+
+    def lights(self, fitted: UnitFit) -> Fitted:
+        """The lights of the sensor with the fitted thickness, fitted to how some of the presses at their found depths
+        change the picture: the untouched one, with its glare, can be the background of rendered pictures."""
+        deep = [k for k in np.argsort(fitted.depth) if fitted.depth[k] > DEEPER * fitted.depth.max()]
+        some = [int(deep[round(k)]) for k in np.linspace(0, len(deep) - 1, min(SHOWN, len(deep)))]
+        sensor = self.at_thickness(fitted)
+        photos = Photos(self.photos.folder, self.photos.presses[0].untouched, self._shown(fitted, some))
+        untouched = Untouched.of(sensor.gel)
+        faces = [fitted.face(untouched, self.dents, self.pictures[n].ball, n) for n in some]
+        return fit_lights.fit_faces(sensor, photos, faces, self.asked.limits, changes=True)
+
+    def _shown(self, fitted: UnitFit, some: list[int]) -> tuple[PhotographedPress, ...]:
+        """Some presses, shown as changes of the first untouched picture."""
+        best, camera = fitted.optics.between(fitted.optics.best)[0], PinholeCamera.from_sensor(self.sensor)
+        first, out = self.photos.presses[0].untouched, []
+        for k in some:
+            press, (_, x, y), depth = self.photos.presses[k], fitted.optics.placed[best].at[k], float(fitted.depth[k])
+            center = camera.project([[x, y, -depth]])[0]
+            contact = self.dents[best][press.ball].contact_at(depth) / camera.mm_per_px
+            shown = np.clip(first + (press.picture.astype(float) - press.untouched), 0, 255).astype(np.uint8)
+            at, ball = (float(center[0]), float(center[1])), press.ball
+            out.append(PhotographedPress(press.name, shown, ball, at, contact, depth, aspect=camera.aspect))
+        return tuple(out)
 
 
 def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
@@ -176,34 +278,26 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     Raises:
         UserError: presses that are missing, cannot be used, or do not determine a number, a line each.
     """
-    from tacgen.calibrate import unit_fitting, unit_photos
-    from tacgen.calibrate.drift import share
-    from tacgen.calibrate.photos import TABLE
-
     asked, path = asked or Asked(), assets.sensor_path(name)
     if not 0 <= asked.friction <= 10:  # nor nan
         raise UserError(f"--friction: must be from 0 to 10 (got {asked.friction:g})")
-    sensor, tree = loading.read_sensor(path)
-    if not sensor.lit:
-        missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
-        raise report(
-            [(Issue((missing,), "is missing: a fit starts from a file with all its lights, roughly placed"), tree)]
-        )
+    sensor, _ = plausible.lit_sensor(path)
     if sensor.gel.solid is not None or any(layer.scattering for layer in sensor.gel.clear_layers):
         raise UserError(f"{path}: gel: must be a pad that is clear: the rim of a contact shows on such a gel alone")
-    lit, photos = cast(LitSensor, sensor), unit_photos.read(folder, sensor.camera)
-    work = unit_fitting.Work.of(lit, photos, asked)
-    raw, drift = work.fitted(), share(work.pictures, work.gauge)
+    photos = reading.read_gauged(folder, sensor.camera)
+    work = Work.of(sensor, photos, asked)
+    raw = work.fitted()
+    drift = press_colours.drift(work.pictures, work.gauge.recording, work.gauge.time)
     if wrong := [*work.too_deep(raw), *_undetermined(raw, folder / TABLE)]:
         no_dents = plausible.no_dents(raw.optics.explained, drift)
         raise UserError(f"{folder / TABLE}: {no_dents}" if no_dents else wrong)
-    fitted = work.corrected(raw)
+    fitted = fit_unit.corrected(raw, work.at_thickness(raw), work.view, work.pictures, work.dents, work.gauge)
     judged, lights = work.judged(), work.lights(fitted) if asked.lights else None
-    made = Unit(path, lit, {}, photos, work.gauge, drift, asked, fitted, judged, lights)
+    made = Unit(path, sensor, {}, photos, work.gauge, drift, asked, fitted, judged, lights)
     return replace(made, changes=_changes(made, work.at_thickness(fitted)))
 
 
-def _undetermined(fitted: "UnitFit", table: Path) -> Iterator[str]:
+def _undetermined(fitted: UnitFit, table: Path) -> Iterator[str]:
     """A line on each number that the presses do not determine, and what to measure."""
     if (share := fitted.optics.explained) < EXPLAINED:
         yield (f"{table}: dents of these balls explain {100 * share:.0f} % of the pictures' change: are"

@@ -1,6 +1,9 @@
-"""Judgement of a fit by presses that it has not seen, and how much of each parameter the photographs determine."""
+"""A sensor fitted to photographs: its misfits, its judgement by presses that the fit has not seen, and how much of each
+parameter the photographs determine."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,9 +11,12 @@ import numpy as np
 from tacgen.calibrate.likeness import ChangeLikeness, Likeness
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.optics.surface_grid import Surface
+from tacgen.render.images import Renderer
+from tacgen.report import fit_figures
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
+DRAWN, SPP = 6, 16  # presses in the figure; samples a pixel, of gels that scatter light
 EACH = 5  # up to so many presses each is left out once
 EVERY = 3  # of more, every third is held out
 
@@ -66,6 +72,34 @@ class Unseen:
             "likeness": [like.plain() for like in self.likeness or ()],
         }  # fmt: skip
 
+    def draw(self, sensor: LitSensor, untouched: Array, out: Path) -> None:
+        """Draw presses into `out`: photographed, rendered with the `sensor` before the fit, and with the fit.
+
+        `untouched`: photograph (H, W, 3), 8 bit.
+        """
+        before, rows = Renderer(sensor, SPP, 0, markers=False), []
+        for k, (press, face) in enumerate(zip(self.presses[:DRAWN], self.faces, strict=False)):
+            after = Renderer(self.sensors[k], SPP, 0, markers=False)
+            titles = [press.name, f"before: {self.score(0, k)}", f"after: {self.score(1, k)}"]
+            shown = [(press.picture, untouched)]
+            shown += [(r.develop(r.image(face)), r.develop(r.flat())) for r in (before, after)]
+            rows.append([(title, *pair) for title, pair in zip(titles, shown, strict=True)])
+        fit_figures.pictures(rows, f"{sensor.name}, presses that the fit has not seen: {self}", out)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted sensor; misfits are rms in 8-bit counts."""
+
+    sensor: LitSensor
+    untouched: float
+    before: float  # the same before the fit
+    presses: float | None = None  # of the change under the presses, all of them seen by this fit
+    deeper: float = 1.0  # factor on all given depths
+    unseen: Unseen | None = None  # None: too few presses to hold any out
+    ridge: float | None = None  # weight of the sensor file's values that suits unseen presses best
+    determined: Mapping[str, float] = field(default_factory=dict)  # share of each parameter, see `determined`
+
 
 def _gain(scores: Array) -> tuple[float, float]:
     """Mean over presses of what a score (2, presses) falls by, and the standard error of that mean."""
@@ -89,3 +123,13 @@ def determined(slopes: Array, ridge: float) -> Array:
     """
     within = slopes.T @ slopes + ridge**2 * np.eye(slopes.shape[1])
     return np.asarray(np.clip(1 - ridge**2 * np.diag(np.linalg.inv(within)), 0, 1))
+
+
+def rms(parts: list[Array]) -> float:
+    """Root mean square over arrays of any shapes."""
+    return float(np.sqrt(np.mean(np.concatenate([p.ravel() for p in parts]) ** 2)))
+
+
+def rgb(row: Array) -> tuple[float, float, float]:
+    """Three plain numbers."""
+    return float(row[0]), float(row[1]), float(row[2])

@@ -38,6 +38,7 @@ EXPORTERS = {
 }
 
 
+IMAGE = (240, 320, 3)  # which FEATS and FeelAnyForce take
 DIVIDED = ("lerobot", "sparsh", "feelanyforce", "zarr", "webdataset")  # into train, val and test
 
 
@@ -119,6 +120,13 @@ def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
     """UserError, naming the `output` of the recipe, unless the bundle holds all datasets of `paths`."""
     if missing := [path for path in paths if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
+
+
+def needs_image(bundle: "Bundle", reader: str) -> None:
+    """UserError, naming the `reader` of the format, unless the images have the size of IMAGE."""
+    if bundle.shapes["/frames/rgb"][1:] != IMAGE:
+        size = " x ".join(map(str, bundle.shapes["/frames/rgb"][1:3]))
+        raise UserError(f"{bundle.path}: {reader} takes images of {IMAGE[0]} x {IMAGE[1]} pixels, these have {size}")
 
 
 def names(bundles: "Sequence[Bundle]") -> list[str]:

@@ -4,7 +4,7 @@ import json
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -104,9 +104,3 @@ def write_splits(all_episodes: Sequence[Episode], out: Path) -> Path:
         for split, (first, end) in split_ranges(all_episodes).items()
     }
     return add(out / "splits.json", json.dumps(listed, indent=1) + "\n")
-
-
-def values(bundle: Bundle) -> dict[str, Any]:
-    """The varied inputs of the scene by their paths in the recipe."""
-    found: dict[str, Any] = json.loads(bundle.attrs.get("values", "{}"))
-    return found

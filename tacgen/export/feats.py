@@ -15,11 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import UserError
-from tacgen.export import names, needs, npy
+from tacgen.export import names, needs, needs_image, npy
 from tacgen.output_file import add
 
-IMAGE = (240, 320, 3)
 GRID = (24, 32)
 SIGNS = (("x", -1.0), ("y", -1.0), ("z", 1.0))
 
@@ -28,9 +26,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """`out/train/<scene>_<frame>.npy`, and `out/normalization.npy`, the ranges by which FEATSDataset scales."""
     for bundle in bundles:
         needs(bundle, ("/frames/rgb", "/frames/force_map"), "rgb and force_map")
-        if bundle.shapes["/frames/rgb"][1:] != IMAGE:
-            size = " x ".join(map(str, bundle.shapes["/frames/rgb"][1:3]))
-            raise UserError(f"{bundle.path}: FEATS takes images of 240 x 320 pixels, these have {size}")
+        needs_image(bundle, "FEATS")
     made, ranges = [], dict[str, dict[str, float]]()
     for name, bundle in zip(names(bundles), bundles, strict=True):
         for k in range(bundle.frames):

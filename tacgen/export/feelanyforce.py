@@ -23,11 +23,9 @@ import numpy as np
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.image_file import encoded
 from tacgen.bundle.splits import SPLITS, assigned
-from tacgen.errors import UserError
-from tacgen.export import needs, npy
+from tacgen.export import IMAGE, needs, needs_image, npy
 from tacgen.output_file import add
 
-IMAGE = (240, 320, 3)
 MM_PER_M = 1e3
 
 
@@ -35,9 +33,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """Write the tables and their files. Raises UserError: a scene without rgb or height, or of another image size."""
     for bundle in bundles:
         needs(bundle, ("/frames/rgb", "/reference/rgb", "/frames/height", "/reference/height"), "rgb and height")
-        if bundle.shapes["/frames/rgb"][1:] != IMAGE:
-            size = " x ".join(map(str, bundle.shapes["/frames/rgb"][1:3]))
-            raise UserError(f"{bundle.path}: FeelAnyForce takes images of 240 x 320 pixels, these have {size}")
+        needs_image(bundle, "FeelAnyForce")
     made, backgrounds = list[Path](), list[bytes]()
     tables: dict[str, list[tuple[str, str, str]]] = {split: [] for split in SPLITS}
     for number, (bundle, split) in enumerate(zip(bundles, assigned(bundles), strict=True)):

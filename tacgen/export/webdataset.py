@@ -13,6 +13,7 @@ The scenes of each split, the same ones as of tacgen.torch, are in tar files of 
 scene, `reference/<scene>.png`: a copy in each sample would double the size.
 """
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from tacgen.bundle.image_file import encoded
 from tacgen.bundle.schema import UNITS
 from tacgen.errors import UserError
 from tacgen.export import names
-from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, values, write_splits
+from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, write_splits
 from tacgen.output_file import add
 
 SHARD_BYTES = 1_000_000_000
@@ -54,7 +55,8 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 def samples(episode: Episode) -> Iterator[dict[str, Any]]:
     """The samples of an episode, frame by frame, as WebDataset's writer takes them."""
-    known = {"scene": episode.name, "task": episode.task, "split": episode.split, "values": values(episode.first)}
+    varied = json.loads(episode.first.attrs.get("values", "{}"))  # by their paths in the recipe
+    known = {"scene": episode.name, "task": episode.task, "split": episode.split, "values": varied}
     for k in range(episode.frames):
         about = {**known, "frame": k, "segment": episode.first.segments[k], "units": UNITS}
         each = {role: _labels(bundle, k) for role, bundle in episode.scenes.items()}

@@ -113,12 +113,13 @@ def text(found: Sequence[Compared]) -> str:
     """The summary of all logs, and of a single one its frames, for a terminal."""
     lines = ["normal force [N]: where tacgen's is largest, and the root mean square of the error over the frames"]
     rows = [["log", "frames", "contact", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"]]
-    rows += [_normal(one.summary()) for one in found]
+    every = [one.summary() for one in found]
+    rows += [[one["log"], str(one["frames"]), str(one["in_contact"]), *_cells(one, "normal")] for one in every]
     lines += _aligned(rows)
     lines += ["tangential force [N]: the same, in the plane of the gel"]
     rows = [
         ["log", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"],
-        *(_side(one.summary()) for one in found),
+        *([one["log"], *_cells(one, "tangential")] for one in every),
     ]
     lines += _aligned(rows)
     lines += [f"{one.log.name}: {one.reason}" for one in found if one.reason]
@@ -130,26 +131,18 @@ def text(found: Sequence[Compared]) -> str:
     return "\n".join(lines)
 
 
-def _normal(found: dict[str, Any]) -> list[str]:
-    first = [found["log"], str(found["frames"]), str(found["in_contact"])]
-    if "normal" not in found:
-        return [*first, *["-"] * 5]
-    part = found["normal"]
-    return [*first, _with(part["ours_n"], part["std_n"]), *_against(part)]
-
-
-def _side(found: dict[str, Any]) -> list[str]:
-    part = found.get("tangential")
-    return [found["log"], *(["-"] * 5 if part is None else [_with(part["ours_n"], None), *_against(part)])]
-
-
-def _against(part: dict[str, Any]) -> list[str]:
+def _cells(found: dict[str, Any], force: str) -> list[str]:
+    """Our normal or tangential force, and the simulator's with its error; `-` where one is not known."""
+    if (part := found.get(force)) is None:
+        return ["-"] * 5
+    ours = part["ours_n"]
+    shown = _with(ours, part.get("std_n"))
     if "theirs_n" not in part:
-        return ["-"] * 4
-    ours, theirs, relative = part["ours_n"], part["theirs_n"], part["relative"]
+        return [shown, *["-"] * 4]
+    theirs, relative = part["theirs_n"], part["relative"]
     off = f"{100 * (theirs / ours - 1):+.1f} %" if ours > TOUCHED else "-"
     ratio = "-" if relative is None else f"{100 * relative:.1f} %"
-    return [_with(theirs, None), off, _with(part["rms_error_n"], None), ratio]
+    return [shown, _with(theirs, None), off, _with(part["rms_error_n"], None), ratio]
 
 
 def _with(value: float, std: float | None) -> str:

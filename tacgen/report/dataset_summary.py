@@ -109,7 +109,11 @@ class Overview(run_status.Survey):
         marked = [bundle for bundle in self.bundles if check.UNIQUE in bundle]
         folded = [int((~bundle[check.UNIQUE]).sum()) for bundle in marked if not bundle[check.UNIQUE].all()]
         short = [b for b in self.bundles if b.attrs["status"] == "ok" and b.frames < b.attrs["frames_planned"]]
-        shares = "; ".join(_folded(marked, names) for names in (_indenters, _movements))
+        ways: tuple[Callable[[Bundle], Sequence[str]], ...] = (
+            lambda bundle: [_indenter(bundle)] * bundle.frames,
+            lambda bundle: bundle.segments,
+        )
+        shares = "; ".join(_folded(marked, names) for names in ways)
         of_all = f"in {sum(folded)} of {sum(bundle.frames for bundle in marked)} frames"
         kept = f"{check.FOLDED} {of_all} (`/frames/quality/unique`): {shares}"
         ended = f"ended before the gel folds: {sum(b.frames for b in short)} frames are here"
@@ -126,14 +130,6 @@ def _indenter(bundle: Bundle) -> str:
     """The indenter's shape, or the file of a mesh."""
     told = bundle.recipe.get("indenter", {})
     return str(told.get("file", told.get("shape", "?")))
-
-
-def _indenters(bundle: Bundle) -> Sequence[str]:
-    return [_indenter(bundle)] * bundle.frames
-
-
-def _movements(bundle: Bundle) -> Sequence[str]:
-    return bundle.segments
 
 
 def _folded(bundles: Sequence[Bundle], names: Callable[[Bundle], Sequence[str]]) -> str:

@@ -15,7 +15,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
-from tacgen.report import dataset_summary, scene_pages, viewer
+from tacgen.report import dataset_summary, html_page, scene_pages, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview
 from tacgen.report.sheet import counted, round_ticks, short
 
@@ -24,11 +24,6 @@ PICTURE_WIDTH = 160  # [px]
 MAX_PAIRS = 15  # scatter plots of two varied numbers
 COLOURS = {"ok": "#0072b2", "rejected": "#e69f00", "failed": "#d55e00", "damaged": "#cc79a7"}
 OTHER_COLOUR = "#999999"  # of scenes at work or waiting
-STYLE = """body{font:14px/1.45 system-ui,sans-serif;margin:2em auto;max-width:70em;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:.5em 0}td,th{padding:.15em .8em .15em 0;text-align:left;vertical-align:top}
-th{font-weight:600;border-bottom:1px solid #bbb}td.n{text-align:right}svg{margin:0 1em 1em 0}svg text{font-size:11px}
-figure{display:inline-block;margin:0 .6em .8em 0;width:160px;font-size:11px}figure img{width:160px;display:block}
-h2{margin-top:1.6em;font-size:1.15em}code{font-size:.95em}"""
 
 
 def write(folder: Path, out: Path, target: Path | None = None) -> Path:
@@ -57,8 +52,8 @@ def page(seen: Overview, links: Mapping[str, str] | None = None) -> str:
         ("Datasets", _table(("dataset", "shape"), seen.datasets.items())),
     ]
     body = "".join(f"<h2>{name}</h2>{content}" for name, content in sections if content)
-    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}{viewer.STYLE}</style>'
-    return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1>{body}</body></html>\n"
+    style = html_page.asset("report.css") + html_page.asset("viewer.css")
+    return html_page.page(title, style, f"<h1>{title}</h1>{body}") + "\n"
 
 
 def causes(scenes: Iterable[SceneOverview]) -> dict[tuple[str, str], list[str]]:

@@ -10,47 +10,12 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text, sensor_text
 from tacgen.bundle.force_error import force_error
 from tacgen.errors import UserError
-from tacgen.report import dataset_summary, viewer
+from tacgen.report import dataset_summary, html_page, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview, spread
 from tacgen.report.sheet import counted, short
 
 MAX_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
-STYLE = """*{box-sizing:border-box}
-body{font:13px/1.4 system-ui,sans-serif;margin:0;color:#222;display:flex;height:100vh}
-nav{width:24em;overflow:auto;padding:.6em;border-right:1px solid #ccc;flex:none}iframe{flex:1;border:0}
-h1{font-size:1.1em;margin:.2em 0}label{display:block;margin:.2em 0}input,select{font:inherit;max-width:14em}
-ol{list-style:none;padding:0}li{padding:.4em .2em;border-top:1px solid #ddd}
-li.on{background:#eef4fa}a{margin-right:.8em}
-.rejected b{color:#b00000}.why{color:#b00000}"""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: https:"
-SCRIPT = """"use strict";
-const all = [...document.querySelectorAll("li")], by = (id) => document.getElementById(id);
-function filter() {
-  const words = by("words").value.toLowerCase().split(/\\s+/), state = by("state").value;
-  const least = +by("least").value || 0;
-  let n = 0;
-  for (const item of all) {
-    const { words: said, state: its, peak } = item.dataset;
-    const fits = (!state || its === state) && (!least || +peak >= least);
-    item.hidden = !(fits && words.every((word) => said.includes(word)));
-    n += !item.hidden;
-  }
-  by("count").textContent = `${n} of ${all.length}`;
-}
-function sort() {
-  const key = by("order").value, list = document.querySelector("ol");
-  const order = { plan: (a, b) => a.dataset.index - b.dataset.index, force: (a, b) => b.dataset.peak - a.dataset.peak };
-  list.append(...[...all].sort(order[key]));
-}
-for (const id of ["words", "state", "least"]) by(id).oninput = filter;
-by("order").oninput = sort;
-document.querySelector("ol").onclick = (event) => {
-  if (event.target.tagName !== "A") return;
-  for (const item of all) item.classList.toggle("on", item.contains(event.target));
-};
-filter();
-document.querySelector("li a")?.click();
-"""
 
 
 def write_pages(bundles: Iterable[Bundle], page: Path, *, in_3d: bool) -> dict[str, str]:
@@ -123,10 +88,9 @@ def _page(seen: Overview, scenes: Sequence[SceneOverview], links: dict[str, str]
         "<label>order <select id=order><option value=plan>of the plan</option>"
         "<option value=force>largest force</option></select></label><p id=count></p>"
     )
-    head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}"><title>{title}</title>'
     body = f"<nav><h1>{title}</h1>{filters}{more}<ol>{items}</ol></nav><iframe name=scene title=scene></iframe>"
-    head += f"<style>{STYLE}</style>"
-    return f"<!doctype html><html lang=en><head>{head}</head><body>{body}<script>{SCRIPT}</script></body></html>"
+    body += f"<script>{html_page.asset('scenes.js')}</script>"
+    return html_page.page(title, html_page.asset("scenes.css"), body, POLICY)
 
 
 def _item(index: int, scene: SceneOverview, links: dict[str, str], names: dict[str, str]) -> str:

@@ -9,7 +9,6 @@ import base64
 import json
 from collections.abc import Sequence
 from html import escape
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,6 +23,7 @@ from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
 from tacgen.outputs import DRAWN_MAPS
+from tacgen.report import html_page
 from tacgen.report.bundle_figure import LINES, image_size, magnification, only, scale_of
 from tacgen.report.field_figure import FIELDS, SECTIONS, WIDE, indenter_surface, section
 from tacgen.report.layers import datasets_of, has_arrows, limits, map_of
@@ -43,15 +43,6 @@ FRAMES = 60  # most frames of a page, evenly spread over a longer scene; a frame
 LARGEST = "largest force"
 ARROWS = 24  # arrows across a map
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{display:flex;flex-wrap:wrap;gap:1em}
-.viewer .stage{position:relative;touch-action:none}.viewer canvas{display:block}
-.viewer .stage canvas{position:absolute;inset:0}.viewer .stage canvas.solid{cursor:grab}
-.viewer .force{cursor:pointer}.viewer button{margin-right:.6em}
-.viewer .wide{display:grid;grid-template-columns:max-content 1fr;column-gap:16px;width:100%}
-.viewer .wide>*{grid-column:1}
-.viewer .wide>.force{grid-column:2;grid-row:4;align-self:start}.viewer fieldset{border:0;padding:0;margin:.4em 0}
-.viewer label{margin-right:1em}.viewer input[type=range]{width:26em;vertical-align:middle}.viewer p{margin:.2em 0}
-.viewer h3{margin:.3em 0;font-size:1em}.viewer .said{min-height:1.4em;font-variant-numeric:tabular-nums}"""
 
 
 def write(paths: Sequence[Path], out: Path) -> None:
@@ -71,13 +62,11 @@ def write(paths: Sequence[Path], out: Path) -> None:
 def page(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
     """The whole page of one or two bundles with frames, with or without the gel in 3D."""
     title = escape(" | ".join(_name(bundle) for bundle in bundles))
-    head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}"><title>{title}</title>'
-    body = block(bundles, in_3d=in_3d)
-    return f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>{body}</body></html>"
+    return html_page.page(title, html_page.asset("viewer.css"), block(bundles, in_3d=in_3d), POLICY)
 
 
 def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
-    """The viewer as part of a page with STYLE: its data and its script.
+    """The viewer as part of a page with viewer.css: its data and its script.
 
     Two bundles share the scales of colours and arrows. Raises UserError: a mesh that cannot be drawn.
     """
@@ -104,7 +93,7 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
         ],
     }
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # so that no text ends the script
-    script = resources.files("tacgen.report").joinpath("viewer.js").read_text(encoding="utf-8")
+    script = html_page.asset("viewer.js")
     return f'<div class=viewer></div><script type="application/json" id=viewed>{text}</script><script>{script}</script>'
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import photographs, real
-from tacgen.calibrate import unit_photos
+from tacgen.calibrate import photos as reading
 from tacgen.recipe import loading
 
 
@@ -21,7 +21,7 @@ def test_its_sensor_file_and_table_are_what_the_calibration_takes(tmp_path: Path
     if not real.wedge_here():
         pytest.skip(f"no photographs in {photographs.reference()}")
     real.wedge_laid_out(tmp_path)
-    photos = unit_photos.read(tmp_path, sensor.camera)
+    photos = reading.read_gauged(tmp_path, sensor.camera)
     assert len(photos.presses) == 43
     assert photos.recordings == ["grip 0", "grip 1"]
     assert max(press.force for press in photos.presses) == pytest.approx(25.35)

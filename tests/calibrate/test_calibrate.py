@@ -14,7 +14,8 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from tacgen import cli
-from tacgen.calibrate import led_fit, photos, press_faces
+from tacgen.calibrate import optics, photos, press_faces
+from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.likeness import Likeness
 from tacgen.errors import UserError
 from tacgen.optics.camera import PinholeCamera
@@ -75,7 +76,7 @@ def no_normals(monkeypatch: pytest.MonkeyPatch) -> None:
             one = np.ones(3)
             return Likeness(one, one, one, 1.0, 1.0, 1.0, np.ones(len(presses)))
 
-    monkeypatch.setattr("tacgen.calibrate.fit_clear.Comparison", Alike)
+    monkeypatch.setattr("tacgen.calibrate.fit_lights.Comparison", Alike)
 
 
 @pytest.mark.slow
@@ -112,7 +113,7 @@ def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_p
     ]
     unit = sensor(leds=moved, camera={**FINE, "noise": {"shot": 1e-4, "read": 0.002, "source": "t"}}, markers=None)
     folder = photographed(unit, tmp_path / "unit")
-    still, free = (led_fit.optics(str(nominal), folder, led_fit.FitLimits(mm, 5.0)).fitted for mm in (0, 0.5))
+    still, free = (optics.optics(str(nominal), folder, FitLimits(mm, 5.0)).fitted for mm in (0, 0.5))
     assert free.untouched < 0.5 * still.untouched
     assert free.unseen.counts[1].mean() < 0.8 * still.unseen.counts[1].mean()
     assert free.untouched < 1.0
@@ -125,7 +126,7 @@ def test_a_background_alone_gives_powers(nominal: Path, tmp_path: Path) -> None:
     unit = sensor(leds=[{**led, "power": 1.2} for led in PLAIN["leds"]], camera=FINE, markers=None)
     folder = photographed(unit, tmp_path / "unit", ())
     (folder / "presses.csv").unlink()
-    found = led_fit.optics(str(nominal), folder)
+    found = optics.optics(str(nominal), folder)
     assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([10.8] * 3, rel=0.03)
     assert found.fitted.presses is found.fitted.unseen is None
     assert ("leds", 0, "center_mm") not in found.changes
@@ -137,9 +138,9 @@ def test_dots_are_left_out(tmp_path: Path) -> None:
     unit = sensor(leds=[{**led, "power": 0.8} for led in PLAIN["leds"]], camera=FINE)
     made = images.Renderer(unit, 64, 0, True, mitsuba_variants.SCALAR)
     Image.fromarray(made.develop(made.flat())).save(tmp_path / "background.png")
-    found = led_fit.optics(str(path), tmp_path).fitted
+    found = optics.optics(str(path), tmp_path).fitted
     assert [sum(led.radiance) for led in found.sensor.leds] == pytest.approx([7.2] * 3, rel=0.04)
-    blind = led_fit.optics(str(path), tmp_path, led_fit.FitLimits(bare=True))
+    blind = optics.optics(str(path), tmp_path, FitLimits(bare=True))
     assert blind.fitted.untouched > 4 * found.untouched
     assert blind.changes["markers",] is None
 
@@ -155,7 +156,7 @@ def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     made = images.Renderer(unit, 6, 0, False)
     (tmp_path / "unit").mkdir()
     Image.fromarray(made.develop(made.flat())).save(tmp_path / "unit" / "background.png")
-    found = led_fit.optics(str(path), tmp_path / "unit").fitted
+    found = optics.optics(str(path), tmp_path / "unit").fitted
     assert np.array([led.radiance for led in found.sensor.leds]) == pytest.approx(
         np.array([[2.4, 2, 2], [1.4, 1.4, 1.4]]), rel=0.03
     )
@@ -178,7 +179,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
     Image.fromarray(made.develop(made.flat())).save(folder / "background.png")  # of the same maps as the press
     Image.fromarray(made.develop(made.image(face))).save(folder / "press.png")
     (folder / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,depth_mm\npress.png,3.0,42,30,0.8\n")
-    found = led_fit.optics(str(path), folder).fitted
+    found = optics.optics(str(path), folder).fitted
     assert found.deeper == 1.04
     assert found.presses < 1.5
     gain = found.sensor.thickness_response
@@ -219,7 +220,7 @@ def test_what_cannot_be_used_is_reported_in_one_line(nominal: Path, tmp_path: Pa
     (tmp_path / "presses.csv").write_text("\n".join(["file,ball_radius_mm,x_px,y_px,contact_radius_px", *rows]))
     spoil(tmp_path)
     with pytest.raises(UserError) as told:
-        led_fit.optics(str(nominal), tmp_path)
+        optics.optics(str(nominal), tmp_path)
     (line,) = told.value.lines
     assert says in line
 
@@ -237,7 +238,7 @@ def test_a_folder_or_lights_that_are_not_there(nominal: Path, tmp_path: Path) ->
     with (tmp_path / "dark.yaml").open("w") as file:
         YAML().dump(dark, file)
     with pytest.raises(UserError, match="plate: is missing: a fit starts from a file with all its lights"):
-        led_fit.optics(str(tmp_path / "dark.yaml"), tmp_path)
+        optics.optics(str(tmp_path / "dark.yaml"), tmp_path)
 
 
 def _swap(folder: Path, old: str, new: str) -> None:
@@ -284,7 +285,7 @@ def test_presses_may_give_depth_or_contact_or_both(
         wide = given in ("contact", "both") or (given == "mixed" and k < 2)
         rows.append(f"press_{k}.png,{ball},{x},{y},{contact if wide else ''},{0.5 if deep else ''}")
     (folder / "presses.csv").write_text("\n".join(rows))
-    found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0))
+    found = optics.optics(str(path), folder, FitLimits(0, 0))
     report = list(found.lines())
     assert any(line.startswith("presses not seen by the fit: ") for line in report)
     judged = given in ("contact", "both")  # by normals within a contact circle
@@ -309,7 +310,7 @@ def test_a_brighter_unit_is_found_by_presses_of_known_depth_or_force_on_a_dome(
         Image.fromarray(made.develop(made.image(press_faces.face(unit, press, {})))).save(folder / f"{k}.png")
         rows.append(f"{k}.png,{ball},{center[0]},{center[1]},{value}")
     (folder / "presses.csv").write_text("\n".join([f"file,ball_radius_mm,x_px,y_px,{column}", *rows]))
-    found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0))
+    found = optics.optics(str(path), folder, FitLimits(0, 0))
     before, after = found.fitted.unseen.counts
     assert after.max() < 2 < before.min()
     assert not found.problem()
@@ -338,7 +339,7 @@ def test_presses_that_no_gel_bears_are_refused_before_any_is_solved(
     head = "file,ball_radius_mm,x_px,y_px,contact_radius_px,depth_mm"
     (tmp_path / "presses.csv").write_text(f"{head}\npress_1.png,4,30,28,,0.5\npress_1.png,3,52,40{change}")
     with pytest.raises(UserError) as told:
-        led_fit.optics(str(nominal), tmp_path)
+        optics.optics(str(nominal), tmp_path)
     (line,) = told.value.lines
     assert says in line
 
@@ -357,4 +358,4 @@ def test_a_press_that_shows_none_is_refused(nominal: Path, tmp_path: Path) -> No
     Image.new("RGB", (80, 64), (95, 95, 95)).save(tmp_path / "press.png")
     (tmp_path / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,contact_radius_px\npress.png,4,30,28,15")
     with pytest.raises(UserError, match=r"press\.png: shows no press: it is like the untouched picture"):
-        led_fit.optics(str(nominal), tmp_path)
+        optics.optics(str(nominal), tmp_path)

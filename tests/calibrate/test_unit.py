@@ -16,7 +16,7 @@ from tacgen.calibrate import ball_dents, fit_unit, press_colours
 from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.ball_dents import SCALED, Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge
-from tacgen.calibrate.led_fit import FitLimits
+from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.press_colours import PressView
 from tacgen.recipe import loading
 from tacgen.sensor.model import LitSensor

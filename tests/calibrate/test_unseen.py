@@ -11,8 +11,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from tacgen import cli
-from tacgen.calibrate import clear_fits, fit_clear, led_fit, photos, press_faces, unseen
-from tacgen.calibrate.clear_trials import Tolerance
+from tacgen.calibrate import fit_lights, optics, photos, press_faces, unseen
+from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.likeness import Likeness
 from tacgen.errors import UserError
 from tacgen.mechanics import NotConverged
@@ -69,14 +69,14 @@ def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(cou
 @pytest.mark.slow
 def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A judging fit from which no press is left out is the written one."""
-    monkeypatch.setattr(clear_fits, "RIDGES", (30.0, 3.0))
+    monkeypatch.setattr(fit_lights, "RIDGES", (30.0, 3.0))
     moved = [{**led, "center_mm": np.add(led["center_mm"], [0.2, 0.1, 0.2]).tolist()} for led in PLAIN["leds"]]
     file, unit = sensor(camera=FINE, markers=None), sensor(leds=moved, camera=FINE, markers=None)
     read = photos.read(photographed(unit, tmp_path / "unit", PRESSES[:2]), file.camera)
     faces = [press_faces.face(file, press, {}) for press in read.presses]
-    trial = clear_fits.Fits(file, read, faces, Tolerance(0.5, 0.1), bare=True)
-    _, (_, (judging,)) = trial.judged([[]], 1)
-    assert trial.whole(3.0, 1).sensor == judging
+    trial = fit_lights.Fits(file, read, faces, FitLimits(0.5, 5.7, bare=True))
+    _, (_, (judging,)) = trial.judged([[]])
+    assert trial.whole(3.0).sensor == judging
 
 
 def test_worse_scores_are_told_before_and_after() -> None:
@@ -168,7 +168,7 @@ def test_a_force_beside_the_gel_is_refused() -> None:
 def test_the_report_is_json(tmp_path: Path) -> None:
     unit = sensor(camera=FINE, markers=None)
     path, folder = written(unit, tmp_path / "file.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:2])
-    found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0)).plain()
+    found = optics.optics(str(path), folder, FitLimits(0, 0)).plain()
     assert found["unseen"]["presses"] == ["press_0.png", "press_1.png"]
     assert np.shape(found["unseen"]["counts"]) == np.shape(found["unseen"]["degrees"]) == (2, 2)
 
@@ -187,7 +187,7 @@ def test_glare_in_the_untouched_picture_does_not_spoil_lights_fitted_to_changes(
     read = replace(read, presses=tuple(replace(press, contact=None, depth=0.5) for press in read.presses))
 
     def off(changes: bool) -> float:
-        made = fit_clear.fit_faces(file, read, faces, led_fit.FitLimits(0, 0), changes=changes)
+        made = fit_lights.fit_faces(file, read, faces, FitLimits(0, 0), changes=changes)
         return float(np.abs([sum(led.light) / 6.3 - 1 for led in made.sensor.leds]).max())
 
     assert off(True) < 0.1 < off(False)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.result import rgb
+from tacgen.calibrate.unseen import rgb
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import CameraView, Samples
@@ -45,17 +45,18 @@ EVEN = 1200  # pixels of the untouched picture that are compared, about, beside 
 BRIGHT = 0.95  # of full scale; brighter pixels are not compared
 STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
 PARTS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
+SPECULAR, FACTOR = 0.1, 1.5  # tolerance of the specular weight; factor of an LED's length, roughness and vignette
 CLEAR = 0.02  # smallest distance of LEDs from the housing and the untouched face [mm]
 
 
 @dataclass(frozen=True)
-class Tolerance:
-    """Tolerances of the parameters around the sensor file."""
+class FitLimits:
+    """Limits of a fit around the sensor file."""
 
-    mm: float
-    rad: float
-    specular: float = 0.1
-    factor: float = 1.5  # of an LED's length, roughness and vignette
+    mm: float = 0.5  # tolerance of the LEDs' positions and of the crop [mm]; 0: radiances alone are fitted
+    deg: float = 5.0  # tolerance of the LEDs' directions [deg]
+    bare: bool = False  # the photographed gel has no markers, whatever the sensor file says
+    steps: int = 1  # Jacobians at most, for each ridge
 
 
 @dataclass(frozen=True)
@@ -92,17 +93,10 @@ class Trials:
     """Misfit between photographs and trial sensors."""
 
     def __init__(
-        self,
-        sensor: LitSensor,
-        photos: Photos,
-        faces: Sequence[Surface],
-        tolerance: Tolerance,
-        bare: bool,
-        untouched: float = 1.0,
+        self, sensor: LitSensor, photos: Photos, faces: Sequence[Surface], limits: FitLimits, untouched: float = 1.0
     ) -> None:
-        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says;
-        `untouched`: weight of a pixel of that picture."""
-        self.tolerance = tolerance
+        """`faces`: those of the presses; `untouched`: weight of a pixel of that picture."""
+        self.limits = limits
         columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
         self.sensor = traced_maps.zoomed(sensor, columns)
         self.sheet, rest = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
@@ -119,7 +113,7 @@ class Trials:
         self.pictures = [self._picture("untouched", photos.untouched, needed, rest)]
         for press, face, here in zip(photos.presses, faces, near, strict=True):
             self.pictures.append(self._picture(press.name, press.picture, here, face))
-        if not bare and sensor.markers is not None:
+        if not limits.bare and sensor.markers is not None:
             for number, picture in enumerate(self.pictures):
                 points = self._look(number, (0.0, 0.0)).at.rest
                 dots = coating.paint(sensor.markers, points, 3 * self.sensor.camera.mm_per_px)
@@ -160,15 +154,17 @@ class Trials:
 
     def _ranges(self) -> tuple[Array, Array, Array]:
         """Bounds and start of every parameter: those of the LEDs, then specular weight, roughness, vignette, crop."""
-        t, coat, eye = self.tolerance, self.sensor.coating, self.sensor.camera
-        wide = t.mm > 0
-        longer = float(np.log(t.factor)) * wide
-        led = [*[(-t.mm, t.mm, 0.0)] * 3, *[(-t.rad, t.rad, 0.0)] * 2, (-longer, longer, 0.0)]
+        mm, coat, eye = self.limits.mm, self.sensor.coating, self.sensor.camera
+        if mm > 0:
+            rad, longer, gloss, factor = np.radians(self.limits.deg), np.log(FACTOR), SPECULAR, FACTOR
+        else:
+            rad, longer, gloss, factor = 0.0, 0.0, 0.0, 1.0
+        led = [*[(-mm, mm, 0.0)] * 3, *[(-rad, rad, 0.0)] * 2, (-longer, longer, 0.0)]
         rest = [
-            (max(0.0, coat.specular - t.specular * wide), min(1.0, coat.specular + t.specular * wide), coat.specular),
-            (coat.roughness / t.factor**wide, min(1.0, coat.roughness * t.factor**wide), coat.roughness),
-            *((r / t.factor**wide, r * t.factor**wide, r) for r in eye.vignette_mm or (1.0, 1.0, 1.0)),
-            *[(-t.mm, t.mm, 0.0)] * 2,
+            (max(0.0, coat.specular - gloss), min(1.0, coat.specular + gloss), coat.specular),
+            (coat.roughness / factor, min(1.0, coat.roughness * factor), coat.roughness),
+            *((r / factor, r * factor, r) for r in eye.vignette_mm or (1.0, 1.0, 1.0)),
+            *[(-mm, mm, 0.0)] * 2,
         ]
         least, most, start = np.array([*led * len(self.sensor.leds), *rest], dtype=float).T
         return least, most, start
@@ -239,16 +235,16 @@ class Trials:
         moved: dict[str, Any] = {"crop_mm": (eye.crop_mm[0] + right, eye.crop_mm[1] + down)}
         return eye.model_copy(update=moved | ({"vignette_mm": rgb(v[-5:-2])} if eye.vignette_mm else {}))
 
-    def rows(self, columns: list[Array], chosen: list[int]) -> list[Array]:
-        """Equations of pictures for the radiances, in counts: by picture (3 pixels, 3 (LEDs + 1) + 1), red pixels
-        first; the last column is the photograph."""
-        out = []
+    def rows(self, v: Array, chosen: list[int]) -> list[Array]:
+        """Equations of the chosen pictures for the radiances, in counts: by picture (3 pixels, 3 (LEDs + 1) + 1), red
+        pixels first; the last column is the photograph."""
+        out, first, untouched = [], self.pictures[0], self.columns(v, 0)
         for k in chosen:
-            picture, first = self.pictures[k], self.pictures[0]
+            picture = self.pictures[k]
             here = picture.counts & (first.counts if k else self._even)
-            change, wanted = columns[k][:, here[picture.counts]], picture.light[here]
+            change, wanted = (self.columns(v, k) if k else untouched)[:, here[picture.counts]], picture.light[here]
             if k:
-                change, wanted = change - columns[0][:, here[first.counts]], wanted - first.light[here]
+                change, wanted = change - untouched[:, here[first.counts]], wanted - first.light[here]
             slope = picture.slope[here]
             channels = [np.column_stack([change[c] * slope[:, c, None], wanted[:, c] * slope[:, c]]) for c in range(3)]
             out.append(np.concatenate(channels))
@@ -269,10 +265,6 @@ class Trials:
     def misfits(self, rows: list[Array], lights: Array) -> list[Array]:
         """Misfits [counts] of pictures, (3 pixels,) each."""
         return [row @ np.append(lights, -1.0) for row in rows]
-
-    def all_columns(self, v: Array, chosen: list[int]) -> list[Array]:
-        """Columns of the chosen pictures; others are left empty."""
-        return [self.columns(v, k) if k in chosen else np.zeros(0) for k in range(len(self.pictures))]
 
     def _names(self) -> list[str]:
         """Names of the parameters, and of the radiances and stray light of each channel."""

@@ -3,20 +3,19 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
-from tacgen.calibrate.plausible import Evidence, SensorFit
-from tacgen.calibrate.result import digits
+import numpy as np
+
+from tacgen.calibrate import fit_lights, fit_scattering
+from tacgen.calibrate import photos as reading
+from tacgen.calibrate.light_equations import FitLimits
+from tacgen.calibrate.plausible import Evidence, SensorFit, digits, lit_sensor
+from tacgen.calibrate.unseen import Fitted
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
-from tacgen.sensor import yaml_source
-from tacgen.sensor.model import LIGHTS, LitSensor
-from tacgen.sensor.validation_messages import Issue, report
+from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
-
-if TYPE_CHECKING:
-    from tacgen.calibrate.photos import Photos
-    from tacgen.calibrate.result import Fitted
 
 BY = "by tacgen calibrate optics"
 DETERMINED = 0.5  # share from which a parameter counts as determined by the photographs
@@ -24,22 +23,12 @@ MOST_MM, MOST_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is o
 
 
 @dataclass(frozen=True)
-class FitLimits:
-    """Limits of a fit."""
-
-    mm: float = 0.5  # tolerance of the LEDs' positions and of the crop [mm]
-    deg: float = 5.0  # tolerance of the LEDs' directions [deg]
-    bare: bool = False  # the photographed gel has no markers, whatever the sensor file says
-    steps: int = 1  # Jacobians at most, for each ridge
-
-
-@dataclass(frozen=True)
 class Calibrated(SensorFit):
     """A fit to photographs."""
 
     photographs: str
-    untouched: Any  # photograph (H, W, 3), 8 bit
-    fitted: "Fitted"
+    untouched: np.ndarray  # photograph (H, W, 3), 8 bit
+    fitted: Fitted
 
     def lines(self) -> Iterator[str]:
         """Report in text."""
@@ -72,10 +61,9 @@ class Calibrated(SensorFit):
         """Report as JSON values."""
         fitted = self.fitted
         errors = {name: getattr(fitted, name) for name in ("untouched", "before", "presses", "deeper", "ridge")}
-        changes = {yaml_source.format_path(path): value for path, value in self.changes.items()}
         unseen = None if fitted.unseen is None else fitted.unseen.plain()
         return {"sensor": self.sensor.name, **errors, "unseen": unseen, "determined": dict(fitted.determined),
-                "changes": changes}  # fmt: skip
+                "changes": self.changed}  # fmt: skip
 
     def evidence(self) -> Evidence:
         """The judgement by unseen presses."""
@@ -90,11 +78,9 @@ class Calibrated(SensorFit):
 
         Raises UserError: no press is unseen.
         """
-        from tacgen.calibrate import press_figure
-
         if self.fitted.unseen is None:
             raise UserError(f"--figure: {out}: {self.evidence().unseen}")
-        press_figure.draw(cast(LitSensor, self.sensor), self.fitted.unseen, self.untouched, out)
+        self.fitted.unseen.draw(cast(LitSensor, self.sensor), self.untouched, out)
 
 
 def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrated:
@@ -103,38 +89,28 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     Raises:
         UserError: photographs that are missing or cannot be used, a line each.
     """
-    from tacgen.calibrate import photos as reading
-
     asked, path = asked or FitLimits(), assets.sensor_path(name)
     for unit, value, most in (("mm", asked.mm, MOST_MM), ("deg", asked.deg, MOST_DEG)):
         if not 0 <= value <= most:  # nor nan
             raise UserError(f"--tolerance-{unit}: must be from 0 to {most:g} (got {value:g})")
-    sensor, tree = loading.read_sensor(path)
-    if not sensor.lit:
-        missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
-        problem = Issue((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
-        raise report([(problem, tree)])
-    lit, photos = cast(LitSensor, sensor), reading.read(folder, sensor.camera)
+    sensor, tree = lit_sensor(path)
+    photos = reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID): loading.solid_folder(tree)} if sensor.gel.solid else {}
     if any(layer.scattering for layer in sensor.gel.clear_layers):
-        from tacgen.calibrate import fit_scattering
-
-        fitted = fit_scattering.fit(lit, photos, folders)
+        fitted = fit_scattering.fit(sensor, photos, folders)
     else:
-        from tacgen.calibrate import fit_clear
-
-        fitted = fit_clear.fit(lit, photos, folders, asked)
+        fitted = fit_lights.fit(sensor, photos, folders, asked)
     said = _said(photos)
-    return Calibrated(path, sensor, changes_of(lit, fitted, said, bare=asked.bare), said, photos.untouched, fitted)
+    return Calibrated(path, sensor, changes_of(sensor, fitted, said, bare=asked.bare), said, photos.untouched, fitted)
 
 
-def _said(photos: "Photos") -> str:
+def _said(photos: reading.Photos) -> str:
     count = len(photos.presses)
     presses = f" and {count} press{'es' * (count > 1)}" if count else ""
     return f"an untouched picture{presses} of one unit ({photos.folder.resolve().name})"
 
 
-def changes_of(sensor: LitSensor, fitted: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
+def changes_of(sensor: LitSensor, fitted: Fitted, said: str, *, bare: bool) -> dict[KeyPath, Any]:
     """Changed values of the sensor file by path; None for keys to remove."""
     now, by = fitted.sensor, f"fitted to {said} {BY}"
     by += f"; on unseen presses {fitted.unseen}" if fitted.unseen else "; not judged by unseen presses"

@@ -1,0 +1,186 @@
+"""Fit of the lights of a sensor with a clear gel, with the ridge that suits unseen presses best.
+
+The equations (see light_equations) are made with their derivatives by the other parameters, solved, and made anew
+there. All fits begin with those at the file's parameters, which are made once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.calibrate import contact_circle, press_faces, robust_search
+from tacgen.calibrate.light_equations import FitLimits, Trials
+from tacgen.calibrate.likeness import Comparison, Likeness
+from tacgen.calibrate.photos import Photos
+from tacgen.calibrate.robust_search import Ridge, Tables
+from tacgen.calibrate.unseen import Fitted, Unseen, determined, folds, rms
+from tacgen.optics.surface_grid import Surface
+from tacgen.sensor.model import LitSensor
+from tacgen.sensor.yaml_source import KeyPath
+
+Array = np.ndarray
+RIDGES = (300.0, 30.0, 3.0)  # tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
+SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
+CLOSE, LITTLE = 0.02, 2e-3  # change of half a range, and gain of the loss, below which no further table is made
+DIFFERENCE = 0.02  # of half a range: step of the difference quotients
+LIGHTLY = 0.1  # weight of a pixel of the untouched picture where changes are what matters
+
+
+def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits: FitLimits) -> Fitted:
+    """Fit the radiance and, with presses, the other parameters, with the ridge that suits unseen presses best."""
+    press_faces.check(sensor, photos)
+    if sensor.gel.dome is None:  # on a dome the rim is hidden by the change of shadows
+        refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
+        photos = replace(photos, presses=refined)
+    return fit_faces(sensor, photos, [press_faces.face(sensor, press, folders) for press in photos.presses], limits)
+
+
+def fit_faces(
+    sensor: LitSensor, photos: Photos, faces: Sequence[Surface], limits: FitLimits, *, changes: bool = False
+) -> Fitted:
+    """Fit a sensor with a clear gel to presses whose faces are known.
+
+    `changes`: how presses change the picture is fitted and judged alone; the untouched picture counts LIGHTLY.
+    """
+    fits = Fits(sensor, photos, faces, limits, LIGHTLY if changes else 1.0)
+    if not (groups := folds(len(photos.presses))):
+        return fits.whole(RIDGES[-1])
+    counts, made = fits.judged(groups)
+    best = int(np.argmin(counts[1:].mean(axis=1)))
+    held_out = [k - 1 for group in groups for k in group]
+    presses, seen = [photos.presses[k] for k in held_out], [faces[k] for k in held_out]
+    judging = [_at_scale(sensor, one) for one in made[best]]
+    alike: tuple[Likeness, Likeness] | None = None
+    if not changes and all(press.contact is not None for press in presses):
+        after, done = [], 0
+        for group, one in zip(groups, judging, strict=True):
+            part = slice(done, done := done + len(group))
+            after.append(Comparison(one).likeness(presses[part], seen[part], photos.untouched))
+        alike = Comparison(sensor).likeness(presses, seen, photos.untouched), Likeness.over(after)
+    each = tuple(one for group, one in zip(groups, judging, strict=True) for _ in group)
+    unseen = Unseen(tuple(presses), tuple(seen), each, counts[[0, best + 1]], alike)
+    return replace(fits.whole(RIDGES[best]), unseen=unseen)
+
+
+def _at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
+    """A sensor with the lights, the coating and the camera's fitted values of one at the fit's scale."""
+    light = {key: getattr(fitted.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
+    eye = sensor.camera.model_copy(update=light)
+    return sensor.model_copy(update={"leds": fitted.leds, "coating": fitted.coating, "camera": eye})
+
+
+class Fits(Trials):
+    """Fits to all photographs, and to all but some that judge them."""
+
+    def whole(self, ridge: float) -> Fitted:
+        """The fit to all pictures, made as those are that judge it."""
+        every, begin = list(range(len(self.pictures))), self._start
+        for hold in RIDGES[: RIDGES.index(ridge) + 1]:
+            begin, lights = self._search(begin, every, hold)
+        misfits = self._misfits(begin, lights, every)
+        shown = self._misfits(self._start, self.own, [0])
+        return Fitted(
+            self._sensor(begin, lights), rms(misfits[:1]), rms(shown), rms(misfits[1:]) if len(every) > 1 else None,
+            ridge=ridge, determined=self._determined(begin, lights, every, ridge),
+        )  # fmt: skip
+
+    def judged(self, groups: list[list[int]]) -> tuple[Array, list[list[LitSensor]]]:
+        """Misfit of presses that are not seen [counts], of the file and then of fits with each of RIDGES, (1 + RIDGES,
+        presses); and those fits by ridge, then by group."""
+        counts: list[list[float]] = [[] for _ in range(1 + len(RIDGES))]
+        made: list[list[LitSensor]] = [[] for _ in RIDGES]
+        for held_out in groups:
+            seen = [k for k in range(len(self.pictures)) if k not in held_out]
+            v = self._start
+            counts[0] += [rms([one]) for one in self._misfits(v, self.own, held_out)]
+            for ridge, scores, fits in zip(RIDGES, counts[1:], made, strict=True):
+                v, lights = self._search(v, seen, ridge)
+                fits.append(self._sensor(v, lights))
+                scores += [rms([one]) for one in self._misfits(v, lights, held_out)]
+        return np.array(counts), made
+
+    def _misfits(self, v: Array, lights: Array, chosen: list[int]) -> list[Array]:
+        """Misfits [counts] of the chosen pictures, (3 pixels,) each."""
+        return [row @ np.append(lights, -1.0) for row in self.rows(v, chosen)]
+
+    def _free(self, seen: list[int]) -> Array:
+        """Numbers of the parameters that vary; a background and one press determine only radiances."""
+        return np.flatnonzero(self._most > self._least) if len(seen) > 2 else np.zeros(0, int)
+
+    def _search(self, begin: Array, seen: list[int], ridge: float) -> tuple[Array, Array]:
+        """The parameters and radiances with the smallest loss of some pictures, by equations that are made anew, with
+        their derivatives, at most `limits.steps` times."""
+        free = self._free(seen)
+        v, lights = begin, self.lights(self.rows(begin, seen), seen, ridge)
+        if not len(free):
+            return v, lights
+        half, hold = self._half(free), Ridge(ridge, self.own.ravel(), self._power.ravel())
+        bounds = (self._least - self._start)[free] / half, (self._most - self._start)[free] / half
+
+        def cost(v: Array, lights: Array) -> float:
+            off = self.weighed(self.rows(v, seen), seen) @ np.append(lights, -1.0)
+            return robust_search.loss(off, SOFT) + robust_search.held((v - self._start)[free] / half, lights, hold)
+
+        now = cost(v, lights.ravel())
+        for _ in range(self.limits.steps):
+            near = self._tables(v, seen)
+            u, found = robust_search.search(near, lights.ravel(), bounds, hold, SOFT)
+            for share in robust_search.SHARES:  # of the way, if the equations are not as linear as taken
+                tried = v.copy()
+                tried[free] += share * half * (u - near.at)
+                some = lights.ravel() + share * (found - lights.ravel())
+                if (then := cost(tried, some)) < now:
+                    break
+            else:
+                break
+            v, lights, gained, now = tried, some.reshape(lights.shape), now - then, then
+            if share * np.abs(u - near.at).max() < CLOSE or gained < LITTLE * now:
+                break
+        return v, lights
+
+    def _half(self, free: Array) -> Array:
+        """Half the ranges of parameters."""
+        return np.asarray((self._most - self._least)[free] / 2)
+
+    def _tables(self, v: Array, seen: list[int]) -> Tables:
+        """The weighed equations of some pictures for the radiances, and their derivatives by the free parameters."""
+        free = self._free(seen)
+        rows, slopes = self._kept_start if np.array_equal(v, self._start) else self._derived(v, seen)
+        return Tables(
+            (v - self._start)[free] / self._half(free),
+            self.weighed([rows[k] for k in seen], seen),
+            np.stack([self.weighed([one[k] for k in seen], seen) for one in slopes]),
+        )
+
+    @cached_property
+    def _kept_start(self) -> tuple[dict[int, Array], list[dict[int, Array]]]:
+        """Equations and derivatives of all pictures at the file's parameters, which every fit begins with."""
+        return self._derived(self._start, list(range(len(self.pictures))))
+
+    def _derived(self, v: Array, seen: list[int]) -> tuple[dict[int, Array], list[dict[int, Array]]]:
+        """Equations by picture, and for each free parameter their change by half its range."""
+        free = self._free(seen)
+        here, slopes = self.rows(v, seen), []
+        for k, half in zip(free, self._half(free), strict=True):
+            step = DIFFERENCE * half * (-1 if v[k] + DIFFERENCE * half > self._most[k] else 1)
+            moved = v.copy()
+            moved[k] += step
+            there = self.rows(moved, seen)
+            slopes.append({p: (b - a) * (half / step) for p, a, b in zip(seen, here, there, strict=True)})
+        return dict(zip(seen, here, strict=True)), slopes
+
+    def _determined(self, v: Array, lights: Array, seen: list[int], ridge: float) -> dict[str, float]:
+        """Share of each parameter that the pictures determine against the ridge, by name."""
+        names, free = self._names(), self._free(seen)
+        if len(free):
+            near = self._tables(v, seen)
+            table = [(near.slopes @ np.append(lights, -1.0)).T, near.rows[:, :-1] * self._power.ravel()]
+        else:
+            table = [self.weighed(self.rows(v, seen), seen)[:, :-1] * self._power.ravel()]
+        chosen = [*(names[k] for k in free), *names[len(v) :]]
+        shares = dict(zip(chosen, map(float, determined(np.hstack(table), ridge)), strict=True))
+        absent = self.sensor.camera.vignette_mm is None
+        return {name: share for name, share in shares.items() if not (absent and name.startswith("vignette"))}
