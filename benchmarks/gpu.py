@@ -1,34 +1,22 @@
-"""A GPU beside the cores of its machine: scenes solved alone, scenes to disk, and pictures.
+"""A GPU beside the cores of its machine: ordinary scenes solved alone.
 
-    python -m benchmarks.gpu frames [--draws 94000 1500] [--compare 160] [--seconds 190]
-    python -m benchmarks.gpu disk [--scenes 1000] [--outputs force rgb] [--again]
-    python -m benchmarks.gpu pictures [--sensors gelsight_mini digit] [--qualities draft default]
+    python -m benchmarks.gpu [--draws 94000 1500] [--compare 160] [--seconds 190]
 
-`frames`: ordinary scenes (benchmarks/draws.py) by the batch engine, in several processes that share the GPU, those that
-take long at last; some of them by the CPU engine first, a process a core, whose forces are compared. Frames count when
-their scene ends. `disk`: `tacgen run` makes balls pressed into the Mini, ten frames each, after a few that compile, and
-with --again all a second time, to compare the bytes. `pictures`: dents of balls, without solving; milliseconds a frame
-of a core and of the GPU, the largest difference of light where the CPU interpolates nothing, over the largest light,
-and how far from those, in counts of 8 bits without noise, the CPU's usual pictures and the GPU's are.
+Ordinary scenes (benchmarks/draws.py) by the batch engine, in several processes that share the GPU, those that take long
+at last; some of them by the CPU engine first, a process a core, whose forces are compared. Frames count when their
+scene ends. To disk `tacgen run --engine cuda` tells its own time.
 """
 
 import argparse
-import json
 import multiprocessing
 import os
-import resource
-import subprocess
-import sys
-import tempfile
-import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import partial
 from itertools import takewhile
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -41,10 +29,7 @@ from tacgen.batch.cuda_engine import CHUNK, MEMORY, solvers
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
-from tacgen.optics.adaptive_sampling import SamplingTolerance
-from tacgen.optics.hertz_dent import BallDent
-from tacgen.recipe import assets, plan, scene_of_row
-from tacgen.render.images import Clear, Renderer
+from tacgen.recipe import scene_of_row
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.planning import Planned
@@ -54,39 +39,13 @@ Ends = list[tuple[float, int]]  # when scenes ended [s], and how many frames the
 WINDOW = 10  # [s] in which frames are counted: at the end few scenes are left
 SPAWN = multiprocessing.get_context("spawn")
 BEGUN: list[float] = []  # when this process, which is warm since, began [s by the clock]
-WARM = {"frames": 3, "disk": 20}  # scenes made before the time counts, which compile
-EVERYWHERE = SamplingTolerance(1, 0.0, 0.0)  # no sample of a picture is interpolated
-DRAWN = 20  # times that the GPU draws all frames
-QUERY = "nvidia-smi", "--query-gpu=power.draw", "--format=csv,noheader,nounits", "-l", "1"
-BALLS = """\
-tacgen: 1
-name: balls
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory:
-  - press: {depth_mm: 1.0, frames: 10}
-contact: {friction: 0.6}
-vary:
-  samples: 20
-  seed: 3
-  over:
-    indenter.radius_mm: {uniform: [2.5, 5.0]}
-    start.x_mm: {uniform: [-3, 3]}
-    start.y_mm: {uniform: [-3, 3]}
-"""
+WARM = 3  # scenes made before the time counts, which compile
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    ask.add_argument("what", choices=("frames", "disk", "pictures"))
     ask.add_argument("--draws", type=int, nargs=2, default=(0, 256), metavar=("FIRST", "COUNT"))
-    ask.add_argument("--scenes", type=int, default=1000, help="to disk by the GPU")
-    ask.add_argument("--alone", type=int, default=160, help="to disk by the cores")
-    ask.add_argument("--outputs", nargs="*", default=("force", "rgb"), help="to disk")
-    ask.add_argument("--again", action="store_true", help="a second time to disk by the GPU, for the bytes")
-    ask.add_argument("--sensors", nargs="*", default=("gelsight_mini", "digit", "gelsight_r15"), help="of pictures")
-    ask.add_argument("--qualities", nargs="*", default=("draft", "default"), help="of pictures")
     ask.add_argument("--quality", default="draft")
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
     ask.add_argument("--workers", type=int, default=os.cpu_count(), help="processes, one a core")
@@ -96,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     told = ask.parse_args(arguments)
     os.environ.update(results_page.one_thread())  # of the other processes too
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")  # calls have many sizes
-    {"frames": frames, "disk": disk, "pictures": pictures}[told.what](told)
+    frames(told)
 
 
 def rates(ends: Ends, seconds: float) -> str:
@@ -107,44 +66,6 @@ def rates(ends: Ends, seconds: float) -> str:
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second; the first scene at {first:.1f} s, then"
         f" {(count - before) / max(last - first, 1e-9):.1f} a second, {most / WINDOW:.1f} in the best {WINDOW} s"
     )
-
-
-class Board(list[float]):
-    """Power that all GPUs' boards draw together [W], second by second."""
-
-    def __str__(self) -> str:
-        return f"{sum(self) / 1e3:.1f} kJ of the GPU's board, at most {max(self):.0f} W" if self else "no GPU's board"
-
-
-@contextmanager
-def watched() -> Iterator[Board]:
-    """A board that is read until the end; an empty one where there is no `nvidia-smi`."""
-    board = Board()
-    try:
-        gpus = subprocess.run(("nvidia-smi", "-L"), capture_output=True, text=True, check=False).stdout.splitlines()
-        process = subprocess.Popen(QUERY, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    except OSError:
-        yield board
-        return
-
-    def read() -> None:
-        assert process.stdout is not None
-        for k, line in enumerate(process.stdout):  # one GPU after another
-            board.extend([0.0] * (k % max(len(gpus), 1) == 0))
-            with suppress(ValueError):
-                board[-1] += float(line)
-
-    thread = threading.Thread(target=read, daemon=True)
-    with process:
-        thread.start()
-        try:
-            yield board
-        finally:
-            process.terminate()
-            thread.join()
-
-
-# frames: ordinary scenes, solved alone
 
 
 class Solved(NamedTuple):
@@ -180,7 +101,7 @@ def frames(told: argparse.Namespace) -> None:
     print(f"{len(plans)} scenes, {len(draws) - len(plans)} refused", flush=True)
     cores = by_cores([one.number for one in plans[: told.compare]], told) if told.compare else []
     found, late = list[Solved](), set[int]()
-    with watched() as board, ProcessPoolExecutor(told.processes, mp_context=SPAWN) as solving:
+    with ProcessPoolExecutor(told.processes, mp_context=SPAWN) as solving:
         for patient in (False, True):  # as `run` does
             some = [one for one in plans if one.number in late or not patient]
             chunks = (some[k : k + CHUNK] for k in range(0, len(some), CHUNK))
@@ -190,7 +111,7 @@ def frames(told: argparse.Namespace) -> None:
     begun, ended = min(one.begun for one in found), max(one.ended for one in found)
     ends = sorted((at - begun, count) for one in found for at, count in one.ends)
     left = Counter(why for one in found for why in one.left.values())
-    print(f"batch engine, {told.processes} processes: {len(ends)} scenes; {rates(ends, ended - begun)}; {board}")
+    print(f"batch engine, {told.processes} processes: {len(ends)} scenes; {rates(ends, ended - begun)}")
     print(f"  {len(late)} scenes were put off; {left.total()} are left to the CPU engine", dict(left), flush=True)
     compare(cores, {draw: forces for one in found for draw, forces in one.forces.items()})
 
@@ -221,7 +142,7 @@ def batched(plans: "list[Planned]", told: argparse.Namespace, patient: bool) -> 
     torch.set_num_threads(1)
     memory = device.chosen(told.device, MEMORY / told.processes)
     if not BEGUN:
-        list(pool.solved(plans[: WARM["frames"]], told.device, memory=memory))
+        list(pool.solved(plans[:WARM], told.device, memory=memory))
         BEGUN.append(time.time())
     out = Solved({}, [], {}, [], time.time(), 0.0)
     try:
@@ -283,117 +204,6 @@ def compare(ended: list[Alone], forces: dict[int, Array]) -> None:
             f" before the first damped frame and over the scene's largest, by {np.median(list(off.values())):.1e}"
             f" (median), {off[worst]:.1e} (draw {worst}); {sum(each > 1e-3 for each in off.values())} by more than 1e-3"
         )
-
-
-# disk: balls from recipe to bundles
-
-
-class Made(NamedTuple):
-    """A run: scenes by their status, when they ended, seconds in all, seconds of cores, and the GPU's board."""
-
-    status: dict[str, int]
-    ends: Ends
-    seconds: float
-    cores: float
-    board: Board
-
-    def __str__(self) -> str:
-        status = ", ".join(f"{n} {s}" for s, n in self.status.items())
-        core = 1e3 * self.cores / sum(n for _, n in self.ends)
-        return f"{status}; {rates(self.ends, self.seconds)}; {core:.1f} ms of a core a frame; {self.board}"
-
-
-def disk(told: argparse.Namespace) -> None:
-    """The balls by the GPU and by the cores alone."""
-    sets = [f"quality={told.quality}", f"outputs=[{', '.join(told.outputs)}]"]
-    for engine, scenes in (("cuda", told.scenes), ("local", told.alone)):
-        with tempfile.TemporaryDirectory() as place:
-            folder = Path(place)
-            made(folder / "warm", engine, WARM["disk"], sets, told.workers)
-            print(f"{engine}, {told.workers} workers: {made(folder / 'one', engine, scenes, sets, told.workers)}")
-            size = sum(path.stat().st_size for path in (folder / "one").glob("*.h5")) / scenes / 10
-            print(f"  {size / 1e3:.0f} kB a frame", flush=True)
-            if told.again and engine == "cuda":
-                print(f"{engine}, again: {made(folder / 'again', engine, scenes, sets, told.workers)}")
-                different = [*unlike(folder / "one", folder / "again")]
-                print(f"  {len(different)} of {scenes} bundles differ", *different[:5], flush=True)
-
-
-def made(out: Path, engine: str, scenes: int, sets: Sequence[str], workers: int) -> Made:
-    """Make scenes into a folder. Raises RuntimeError: the command fails."""
-    recipe = out.with_suffix(".yaml")
-    recipe.write_text(BALLS)
-    more = [part for each in (*sets, f"vary.samples={scenes}") for part in ("--set", each)]
-    call = [sys.executable, "-m", "tacgen", "run", str(recipe), "-o", str(out), *more, "--json"]
-    status, ends, before, start = Counter[str](), Ends(), _children(), time.perf_counter()
-    call += ["--engine", engine, "--workers", str(workers)]
-    with watched() as board, out.with_suffix(".log").open("w+") as log:
-        with subprocess.Popen(call, stdout=subprocess.PIPE, stderr=log, text=True) as run:
-            assert run.stdout is not None
-            for line in run.stdout:
-                if '"scene"' in line and (event := json.loads(line))["event"] == "scene":
-                    status[event["status"]] += 1
-                    ends.append((time.perf_counter() - start, event["frames"]))
-        if run.returncode or not ends:
-            log.seek(0)
-            raise RuntimeError(f"{' '.join(call)}: {log.read().strip() or f'exit code {run.returncode}'}")
-    return Made(status, ends, time.perf_counter() - start, _children() - before, board)
-
-
-def _children() -> float:
-    """Processor seconds of processes that have ended."""
-    return sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
-
-
-def unlike(folder: Path, other: Path) -> Iterator[str]:
-    """Names of the bundles of a folder that another one has not byte by byte."""
-    for path in sorted(folder.glob("*.h5")):
-        if not (other / path.name).is_file() or path.read_bytes() != (other / path.name).read_bytes():
-            yield path.name
-
-
-# pictures: of dents, without solving
-
-
-def pictures(told: argparse.Namespace) -> None:
-    """A line for each sensor and quality."""
-    print("sensor, quality: ms a frame of a core, of the GPU; difference of light; counts off, mean and most: CPU, GPU")
-    for sensor in told.sensors:
-        for quality in told.qualities:
-            print(f"{sensor}, {quality}: {pictured(sensor, quality, told.device)}", flush=True)
-
-
-def pictured(sensor: str, quality: str, device: str, count: int = 10) -> str:
-    """Time and error of pictures of so many dents at random places by a core and by the GPU."""
-    from tacgen.tensor_optics.drawing import Drawing
-
-    asked = [f"sensor={sensor}", f"quality={quality}", "outputs=[force, rgb]"]
-    (row,) = plan.load(assets.recipe_path("quickstart"), asked).rows
-    renderer = Renderer(row.sensor, row.recipe.resolved().spp, 0, row.sensor.markers is not None)  # type: ignore[arg-type]
-    if not isinstance(renderer.light, Clear):
-        return "not drawn on a GPU"
-    random, direct = np.random.default_rng(0), renderer.light.direct
-    dents = random.uniform([2.5, 0.2, -3, -3], [5.0, 0.6, 3, 3], (count, 4))
-    faces = [BallDent(radius, share * radius, (x, y), renderer.untouched) for radius, share, x, y in dents]
-    renderer.image(faces[0])  # compiles it
-    started = time.perf_counter()
-    shipped = [renderer.image(face) for face in faces]
-    core = (time.perf_counter() - started) / count
-    tolerance, direct.tolerance = direct.tolerance, EVERYWHERE
-    exact = np.array([renderer.image(face) for face in faces])
-    direct.tolerance = tolerance
-    drawing = Drawing(direct, renderer.light.glow, renderer.stray, renderer.texture, device)
-    nodes, none = np.stack([renderer.sheet.at(face) for face in faces]), [None] * count
-    light = drawing.radiance(nodes)
-    counts = drawing.developed(light, none, none).astype(int)
-    started = time.perf_counter()
-    for _ in range(DRAWN):
-        drawing.developed(drawing.radiance(nodes), none, none)
-    gpu = (time.perf_counter() - started) / (DRAWN * count)
-    right, usual = (np.array([renderer.develop(one) for one in lights]).astype(int) for lights in (exact, shipped))
-    off = [f"{np.abs(each - right).mean():.5f} and {np.abs(each - right).max()}" for each in (usual, counts)]
-    differs = np.abs(light.cpu().numpy() - exact).max() / exact.max()
-    return f"{1e3 * core:.1f} ms, {1e3 * gpu:.2f} ms; {differs:.1e}; {', '.join(off)}"
 
 
 if __name__ == "__main__":
