@@ -1,24 +1,19 @@
 """Comparison of rendered pictures with photographs of real units.
 
 Beside normals, colours and 9DTact's depth: networks for normals that are trained on a population of units and have not
-seen the unit that they are scored on, dots (benchmarks/real_dots.py), and forces from pictures of a GelSight Wedge, by
-`tacgen calibrate unit` on one grip of a ball, judged on the other.
+seen the unit that they are scored on.
 """
 
-import csv
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple, cast
 
 import numpy as np
 
-from benchmarks import photographs, real_dots
+from benchmarks import photographs
 from benchmarks.photographs import MINIS, SENSORS, Unit
-from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
+from benchmarks.results_page import Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, normal_net, press_faces
-from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.likeness import Comparison, PictureOfPress
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.optics.camera_view import CameraView
@@ -56,12 +51,6 @@ NOTE = (
     " contact circles of the dotted unit were drawn by hand, up to 0.85 of the ball's radius."
 )
 
-WEDGE, FORCES = "gelsight_wedge", "forces.csv"
-WEDGE_UNIT = ROOT / "benchmarks" / "wedge_unit.yaml"
-GOLF_BALL = 42.7 / 2  # radius of a golf ball, the least that its rules allow [mm]
-RATE = 30.0  # pictures a second
-WEDGE_SIZE = 320, 248  # square pixels: the rectified pictures of 320 x 280 show 31 x 24 mm
-
 
 def bench(level: Level, say: Say) -> Result:
     """Every sensor with photographs. Raises Absent if there are none."""
@@ -71,14 +60,10 @@ def bench(level: Level, say: Say) -> Result:
     clear = {name: one for name, one in units.items() if name != "ninedtact"}
     tables = _pictures(clear, level, say)
     whole = level != "smoke"
-    if "gelsight_mini" in units and whole:
-        tables += filter(None, [real_dots.table(sensor_of("gelsight_mini"), level, say)])
-        if all(map(photographs.unit, MINIS)):
-            tables.append(population(say))
-    if "ninedtact" in units and whole:
+    if whole and all(map(photographs.unit, MINIS)):
+        tables.append(population(say))
+    if whole and "ninedtact" in units:
         tables.append(_depth(units["ninedtact"], say))
-    if whole and wedge_here():
-        tables += wedge_tables(say)
     return Result(ABOUT, tables)
 
 
@@ -247,58 +232,3 @@ def sensor_of(name: str) -> LitSensor:
     """The sensor file of a unit, shipped or of the population."""
     beside = assets.recipe_path(RECIPE).parent / "units" / f"{name}.yaml"
     return cast(LitSensor, loading.read_sensor(beside if beside.is_file() else assets.sensor_path(name))[0])
-
-
-def wedge_here() -> bool:
-    """Whether photographs of the Wedge are there."""
-    return (photographs.reference() / WEDGE / FORCES).is_file()
-
-
-def wedge_laid_out(out: Path) -> None:
-    """Write the photographs and their table as `calibrate unit` takes them into `out`."""
-    from PIL import Image
-
-    folder = photographs.reference() / WEDGE
-    lines = ["file,ball_radius_mm,force_n,recording,time_s,untouched"]
-    for row in csv.DictReader((folder / FORCES).read_text(encoding="utf-8").splitlines()):
-        plain = f"golf_{row['video']}_untouched.png"
-        for name in (row["image"], plain):
-            with Image.open(folder / name) as picture:
-                picture.convert("RGB").resize(WEDGE_SIZE, Image.Resampling.LANCZOS).save(out / name)
-        time = int(row["frame"]) / RATE
-        lines.append(f"{row['image']},{GOLF_BALL},{row['force_n']},grip {row['video']},{time:.4f},{plain}")
-    (out / "presses.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def wedge_tables(say: Say) -> list[Table]:
-    """Numbers of the unit with their intervals, and errors of forces that a fit has not seen."""
-    with TemporaryDirectory() as scratch:
-        wedge_laid_out(Path(scratch))
-        made = calibration.unit(str(WEDGE_UNIT), Path(scratch), calibration.Asked(lights=False))
-    for line in made.lines():
-        say(f"wedge: {line}")
-    young, fitted = made.sensor.gel.layers[0].model_dump()["youngs_modulus_mpa"], made.fitted
-    found: list[list[Cell]] = [
-        ["gel thickness [mm]", *(getattr(fitted.thickness, key) for key in ("value", "low", "high")),
-         made.sensor.gel.thickness_mm],
-        ["Young's modulus [MPa]", *(young * getattr(fitted.modulus, key) for key in ("value", "low", "high")), young],
-        ["zero of the gauge [N]", *(getattr(fitted.zero, key) for key in ("value", "low", "high")), None],
-    ]  # fmt: skip
-    errors: list[list[Cell]] = [
-        [one.name, len(one.force), one.mae(one.floor), one.mae(one.predicted), one.mae(one.foreign),
-         one.mae(one.unaligned), one.mae(one.ceiling)] for one in made.judged
-    ]  # fmt: skip
-    heads = ("judged on", "pictures", "mean of the other grip's forces [N]: .2f", "from pictures [N]: .2f",
-             "with the other grip's colours [N]: .2f",
-             "without alignment in time [N]: .2f", "rising curve through the judged [N]: .2f")  # fmt: skip
-    return [
-        Table("A GelSight Wedge by a golf ball", columns("", "found: .3g", "low: .3g", "high: .3g", "published: .3g"),
-              found, "With 95 % intervals, of both grips; published by those who used the unit, the modulus from its"
-              " hardness. The ball's dimples are not in the model."),
-        Table("Forces on a GelSight Wedge", columns(*heads), errors,
-              "Mean absolute error of forces up to 25 N, each grip judged by the fit to the other. The gauge lags by up"
-              " to three pictures, differently in each grip: the lag of the judged grip is fitted to its own forces,"
-              " one number; beside it without alignment. The judged pictures, without their forces, tell the contrast"
-              " where this grip pressed; beside it with the contrast of the other grip, 1.2 mm away. The gauge's own"
-              " scatter is 1 to 1.5 N."),
-    ]  # fmt: skip
