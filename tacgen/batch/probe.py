@@ -5,7 +5,7 @@ import resource
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.errors import UserError
@@ -17,17 +17,23 @@ SCENES = 8  # timed scenes at most
 ENOUGH_S = 10.0  # for which scenes are timed [s]
 
 
+class PlanCost(NamedTuple):
+    """Estimated cost of a plan, and the peak memory of a worker [GB]."""
+
+    cost: Cost
+    memory_gb: float
+
+
 def chosen(plan: Plan) -> list[Row]:
     """The scenes that are timed, evenly spread over the plan."""
     count = min(SCENES, len(plan.rows))
     return [plan.rows[i * len(plan.rows) // count] for i in range(count)]
 
 
-def probe(plan: Plan, workers: int, task: str = TASK, on_event: OnEvent = lambda event: None) -> tuple[Cost, float]:
-    """Estimated cost of a plan, and the peak memory of a worker [GB].
+def probe(plan: Plan, workers: int, task: str = TASK, on_event: OnEvent = lambda event: None) -> PlanCost:
+    """Time some scenes on the same number of workers as the run, for ENOUGH_S after their first frame.
 
-    Some scenes are timed on the same number of workers as the run, for ENOUGH_S after their first frame. What comes
-    before it, as compiling, happens once. Where no scene is finished by then, the frames of those at work
+    What comes before it, as compiling, happens once. Where no scene is finished by then, the frames of those at work
     are judged by.
 
     Raises:
@@ -43,7 +49,7 @@ def probe(plan: Plan, workers: int, task: str = TASK, on_event: OnEvent = lambda
     if estimated is None:
         reason = next((f"{result.name}: {result.reason}" for result in results), "")
         raise UserError(f"no scene could be made to judge by: {reason}")
-    return estimated, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
+    return PlanCost(estimated, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)
 
 
 class _FrameClock:
