@@ -1,13 +1,10 @@
 """Error of the mechanics against run time, for each choice of mesh, element, tolerances and solver."""
 
-from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 
-import numpy as np
-
-from benchmarks.reference_runs import DEPTHS, Answer, Error, answer, kept, row_of, sliding
+from benchmarks.reference_runs import DEPTHS, Answer, Error, answer, kept, sliding
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
-from tacgen.mechanics import DEFAULT, NotConverged, SolverOptions, plain, short_steps
+from tacgen.mechanics import DEFAULT, SolverOptions, plain, short_steps
 
 ABOUT = (
     "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) in one frame and slid by 0.6 mm in two, with"
@@ -17,14 +14,6 @@ ABOUT = (
 )
 ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
-FILLETS = {"normal": (0.3, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; the element edge at `draft` is 0.6
-SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in element edges
-BOX = "indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
-EDGED = (
-    "A box of 3 mm at `draft`, pressed 0.5 mm without friction: error of the force against `reference`, and the largest"
-    " tangential over normal force while it slides, a discretisation error. Empty: a frame did not converge."
-)
-PRESSED, SLID = "{press: {depth_mm: 0.5, frames: 1}}", "{slide: {x_mm: 0.1, y_mm: 0.06, frames: 1}}"
 AT_DRAFT = ("quality=draft",)
 PRESETS = ("draft", "default")
 HEXES = {
@@ -80,19 +69,12 @@ def bench(level: Level, say: Say) -> Result:
     answer((*sliding("gelsight_mini"), "quality={edge_mm: 1.5}"))  # compiles
     if level == "smoke":
         return Result(ABOUT, *_sweep(level, {}, say))
-    fillets = FILLETS[level]
     with cores() as every:  # runs that are not timed may share the machine
-        true = [_preset(sensor, "reference") for sensor in DEPTHS]
-        references = every(kept, [*true, *(_edged(fillet) for fillet in fillets)])
-        boxes = every(_dragged_answer, map(_dragged, fillets))
-        placed = [_preset("gelsight_mini", name) for name in PRESETS for _ in SHIFTS]
-        shifted = every(answer, placed, SHIFTS * len(PRESETS))
-        list(references)
-        say("references are there")
-        edges, places = _edges(fillets, boxes, say), _places(shifted)
+        list(every(kept, [_preset(sensor, "reference") for sensor in DEPTHS]))
+    say("references are there")
     presets = {(sensor, name): answer(_preset(sensor, name)) for sensor in DEPTHS for name in PRESETS}
     tables, plots = _sweep(level, presets, say)
-    return Result(ABOUT, [*tables, places, edges, _sensors(presets, say)], plots)
+    return Result(ABOUT, [*tables, _sensors(presets, say)], plots)
 
 
 def _preset(sensor: str, name: str) -> tuple[str, ...]:
@@ -121,16 +103,6 @@ def _sweep(level: Level, presets: dict[tuple[str, str], Answer], say: Say) -> tu
     return [table], [_plot(rows, seconds, errors[k], best[k], ERRORS[k].partition(":")[0]) for k in range(4)]
 
 
-def _places(shifted: Iterator[Answer]) -> Table:
-    """The presets with the ball at several positions within a cell."""
-    reference, rows = kept(_preset("gelsight_mini", "reference")), list[list[Cell]]()
-    for name in PRESETS:
-        kinds = list(zip(*(astuple(next(shifted).error(reference)) for _ in SHIFTS), strict=True))
-        rows += [[name, "worst", *map(max, kinds)], [name, "best", *map(min, kinds)]]
-    note = "Worst and best of three positions of the ball within a cell; in all other tables it is over a node."
-    return Table("Presets wherever the ball stands", columns("preset", "error", *ERRORS), rows, note)
-
-
 def _work(found: Answer) -> list[Cell]:
     frames = len(found.force)
     return [found.nodes, found.iterations / frames, found.seconds / frames]
@@ -145,40 +117,6 @@ def _plot(rows: list[list[Cell]], seconds: list[float], errors: list[float], bes
     points = [series(group, [i for i, row in enumerate(rows) if row[0] == group], True) for group in groups]
     unit = "" if "[" in what else " [-]"
     return Plot(f"Error of {what}", "s a frame", f"error{unit}", [*points, series("Pareto front", best, False)])
-
-
-def _edged(fillet: float, moves: str = PRESSED, quality: str = "reference") -> tuple[str, ...]:
-    """A pressed box with rounded edges, without friction."""
-    scene = ("outputs=[force]", BOX.format(fillet=fillet), f"trajectory=[{moves}]", "contact.friction=0")
-    return (*scene, f"quality={quality}")
-
-
-def _dragged(fillet: float) -> tuple[str, ...]:
-    """A box as in `_edged`, pressed and slid at `draft`."""
-    return _edged(fillet, f"{PRESSED}, {SLID}", "draft")
-
-
-def _dragged_answer(sets: tuple[str, ...]) -> Answer | None:
-    """None where a frame does not converge."""
-    try:
-        return answer(sets)
-    except NotConverged:
-        return None
-
-
-def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer | None], say: Say) -> Table:
-    """A box with decreasing radius of its edges, down to where the mesh does not resolve it."""
-    rows: list[list[Cell]] = []
-    for fillet in fillets:
-        edge, found = row_of(_dragged(fillet)).recipe.resolved().edge_mm, next(boxes)
-        if found is None:
-            rows.append([fillet / edge, None, None])
-            say(f"fillet {fillet:g} mm: rejected")
-            continue
-        off, slid = float(found.force[0, 2] / kept(_edged(fillet)).force[0, 2] - 1), found.force[1:]
-        rows.append([fillet / edge, off, float((np.hypot(*slid[:, :2].T) / -slid[:, 2]).max())])
-        say(f"fillet {fillet:g} mm: {off:+.1%}")
-    return Table("Edges sharper than the mesh", columns("radius / edge: .2f", "force: +.1%", "drag: .2%"), rows, EDGED)
 
 
 def _sensors(presets: dict[tuple[str, str], Answer], say: Say) -> Table:

@@ -202,14 +202,15 @@ def _kinds(group: Sequence[Outcome]) -> list[tuple[str, list[Outcome]]]:
     return [("ordinary", list(group)), ("shapes", [one for one in group if one not in objects]), ("objects", objects)]
 
 
-def _mean(seconds: Sequence[float], frames: Sequence[int]) -> float | None:
-    return sum(seconds) / sum(frames) if sum(frames) else None
+def _mean(group: Sequence[Outcome]) -> float | None:
+    """Seconds of all scenes that are ok over their frames; None if there are none."""
+    ended = [one for one in group if one.status == "ok"]
+    return sum(one.seconds for one in ended) / sum(one.frames for one in ended) if ended else None
 
 
 def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     counts = [sum(one.status == status for one in group) for status in STATUSES]
-    ended = [one for one in group if one.status == "ok"]
-    mean = _mean([one.seconds for one in ended], [one.frames for one in ended])
+    mean = _mean(group)
     hours = None if mean is None else mean * 1e6 / 3600
     work = [_quantile(group, name, q) for name in MEASURES for q in QUANTILES]
     least = [one.least_J for one in group if one.frames]
@@ -227,19 +228,10 @@ def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outco
     rows: list[list[Cell]] = []
     for name in sorted({of(one) for one in found}):
         group = [one for one in found if of(one) == name]
-        ended = [one for one in group if one.status == "ok"]
-        mean = _mean([one.seconds for one in ended], [one.frames for one in ended])
         work = [_quantile(group, *which) for which in (("rate", 50), ("rate", 90), ("iterations", 50))]
-        rows.append([name, len(group), len(ended), mean, *work])
-    heads = (
-        "scenes: d",
-        "ok: d",
-        "s a frame, mean: .3f",
-        "s a frame, p50: .2f",
-        "s a frame, p90: .2f",
-        "iterations, p50: .1f",
-    )
-    return Table(title, columns(head, *heads), rows)
+        rows.append([name, len(group), sum(one.status == "ok" for one in group), _mean(group), *work])
+    heads = columns(head, "scenes: d", "ok: d", "s a frame, mean: .3f", "s a frame, p50: .2f", "s a frame, p90: .2f")
+    return Table(title, heads | columns("iterations, p50: .1f"), rows)
 
 
 def _ablated(found: Sequence[Outcome], count: int) -> Table:

@@ -1,4 +1,4 @@
-"""One press by other methods: CalculiX if it is installed, linear tetrahedra, published figures."""
+"""One press by other methods: CalculiX if it is installed, and tetrahedra."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -79,7 +79,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = [Table("One press", heads, rows, note), _equal(runs, ours, reference)]
     series = [Series(r.name, r.seconds, [abs(e) for e in r.errors(reference)], r.labels) for r in runs]
     plot = Plot("Force error of one press", "s", "|error| of the force [-]", series)
-    return Result(ABOUT, tables if smoke else [*tables, _published()], [plot])
+    return Result(ABOUT, tables, [plot])
 
 
 def _finest(smoke: bool, every: Callable[..., Iterator[float]]) -> Iterator[tuple[str, float]]:
@@ -144,18 +144,3 @@ def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:
     return Table(
         "At equal error, and at equal time", heads, rows, "The coarsest mesh from which on all errors are within that."
     )
-
-
-def _published() -> Table:
-    heads = columns("program", "what", "hardware", "figure")
-    h100 = "NVIDIA H100"
-    pad = "this pad, nu 0.48, friction 0.6, dhat 0.1 mm; CalculiX 1.087 N"
-    rows: list[list[Cell]] = [
-        ["libuipc 0.0.29, P1", f"{pad}; 1 014 vertices", h100, "2.69 N, 57 ms a frame"],
-        ["libuipc 0.0.29, P1", "the same; 4 761 vertices", h100, "1.76 N, 70 ms a frame"],
-        ["libuipc 0.0.29, P1", "the same; 20 535 vertices", h100, "1.47 N, 127 ms a frame"],
-        ["libuipc 0.0.29, P1", "the same; 60 025 vertices", h100, "1.39 N, 276 ms a frame"],
-        ["ANSYS", "R 3 mm, 0.8 mm, E 0.1 MPa, nu 0.49, friction 0.5", "", "0.36087 N"],
-    ]
-    note = "Published, on the authors' hardware; libuipc as run for tacgen's design. Not measured on the machine above."
-    return Table("Quoted, not measured here", heads, rows, note)

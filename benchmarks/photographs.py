@@ -99,16 +99,11 @@ def radial_profile(change: Array, middle: tuple[float, float], mm_per_px: float)
     return np.asarray(sums / count)
 
 
-def darker(picture: Array) -> Array:
-    """Share (H, W) by which a picture is darker than what surrounds a dot."""
+def dark(picture: Array) -> Array:
+    """Pixels (H, W) bool of dots, which are darker than what surrounds them, and of their rims."""
     grey = picture.astype(float).max(axis=2)
     ground = ndimage.grey_closing(grey, (WIDTH, WIDTH))
-    return np.asarray((ground - grey) / np.maximum(ground, 1.0))
-
-
-def dark(picture: Array) -> Array:
-    """Pixels (H, W) bool of dots and their rims."""
-    return np.asarray(ndimage.binary_dilation(darker(picture) > DARK, iterations=RIM))
+    return np.asarray(ndimage.binary_dilation((ground - grey) / np.maximum(ground, 1.0) > DARK, iterations=RIM))
 
 
 def refined(press: PhotographedPress, untouched: Array, hidden: Array) -> PhotographedPress:

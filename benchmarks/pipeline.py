@@ -42,19 +42,10 @@ EVERYTHING = "everything"
 FORCE_RGB = "force, rgb"
 SHOWN = 0.1  # smaller outputs [ms] and datasets [kB] are left out
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.1, spp: 4}"
-OTHERS: tuple[tuple[str, str, str, float, float], ...] = (  # program, what, hardware, frames a second from and to
-    ("TaCauchy (UIPC)", "gel by finite elements, forces, image; one sensor", "RTX 5090, Ryzen 9950X", 33.4, 33.4),
-    ("TaCauchy (UIPC)", "the same, many sensors at once, together", "RTX 5090, Ryzen 9950X", 555, 555),
-    ("TacEx (GIPC)", "gel by finite elements alone, 3.7k to 67k vertices", "not stated", 4.5, 40),
-    ("TacEx (Taxim)", "image of a height map with shadows, 480 x 640, no mechanics", "RTX 3080 Ti", 170, 330),
-    ("TacEx (FOTS)", "10 x 10 markers by formula, no mechanics", "16 CPU cores", 200, 500),
-    ("FOTS", "image of a height map with shadows, no mechanics", "one CPU", 28.6, 28.6),
-    ("TACTO", "image of a rigid body's imprint, no gel", "a GPU", 200, 200),
-)
 
 
 def bench(level: Level, say: Say) -> Result:
-    """Stages, outputs, bytes and a million frames; the first scene with empty caches; workers; published rates."""
+    """Stages, outputs, bytes and a million frames; the first scene with empty caches; workers."""
     if level == "smoke":
         case = ("gelsight_mini", SMOKE, "traction")
         found = {case: in_own_process("benchmarks.pipeline:made", *case, FEW)}
@@ -70,7 +61,7 @@ def bench(level: Level, say: Say) -> Result:
     cores = worker_process.cores()
     many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
     table, plot = workers.workers(4, many, say)
-    return Result(ABOUT, [_stages(found), *_parts(found), _first(say), table, _others()], [plot])
+    return Result(ABOUT, [_stages(found), *_parts(found), _first(say), table], [plot])
 
 
 def row(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> Any:
@@ -213,17 +204,3 @@ def first(sensor: str, started: float) -> dict[str, Any]:
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     seconds = sum(one.ru_utime + one.ru_stime for one in used)
     return {"to_frame": reached, "processor": seconds, "memory": used[1].ru_maxrss / 1e3}
-
-
-def _others() -> Table:
-    rows: list[list[Cell]] = []
-    for *what, low, high in OTHERS:
-        rate = f"{low:g}" if low == high else f"{low:g} - {high:g}"
-        hours = f"{1e6 / high / 3600:.1f}" if low == high else f"{1e6 / high / 3600:.1f} - {1e6 / low / 3600:.0f}"
-        rows.append([*what, rate, hours])
-    note = (
-        "As published, on the authors' hardware; not run here, and none computes all outputs measured above. TaCauchy:"
-        " arXiv 2606.20426. TacEx: arXiv 2411.04776. FOTS: arXiv 2404.19217. TACTO: arXiv 2012.08456."
-    )
-    heads = columns("program", "what", "hardware", "frames a second", "hours a million")
-    return Table("Quoted, not measured here", heads, rows, note)

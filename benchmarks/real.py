@@ -1,7 +1,7 @@
 """Comparison of rendered pictures with photographs of real units.
 
 Beside normals, colours and 9DTact's depth: networks for normals that are trained on a population of units and have not
-seen the unit that they are scored on, dots (benchmarks/real_dots.py), and forces from pictures of a GelSight Wedge, by
+seen the unit that they are scored on, and forces from pictures of a GelSight Wedge, by
 `tacgen calibrate unit` on one grip of a ball, judged on the other.
 """
 
@@ -14,7 +14,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from benchmarks import photographs, real_dots
+from benchmarks import photographs
 from benchmarks.photographs import MINIS, SENSORS, Unit
 from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, normal_net, press_faces
@@ -71,10 +71,8 @@ def bench(level: Level, say: Say) -> Result:
     clear = {name: one for name, one in units.items() if name != "ninedtact"}
     tables = _pictures(clear, level, say)
     whole = level != "smoke"
-    if "gelsight_mini" in units and whole:
-        tables += filter(None, [real_dots.table(sensor_of("gelsight_mini"), level, say)])
-        if all(map(photographs.unit, MINIS)):
-            tables.append(population(say))
+    if whole and all(map(photographs.unit, MINIS)):
+        tables.append(population(say))
     if "ninedtact" in units and whole:
         tables.append(_depth(units["ninedtact"], say))
     if whole and wedge_here():

@@ -124,21 +124,11 @@ def solve_frames(made: Scene, problem: mechanics.Problem, limit: float = math.in
     return Frames(states, ends, time.process_time() - start, status, reason)
 
 
-def answer(
-    sets: tuple[str, ...],
-    shift: tuple[float, float] = (0.0, 0.0),
-    options: mechanics.SolverOptions = mechanics.DEFAULT,
-) -> Answer:
-    """Solve the quickstart with changes and take its labels; `shift` moves a mesh of hexes under the indenter, in parts
-    of an edge."""
+def answer(sets: tuple[str, ...], options: mechanics.SolverOptions = mechanics.DEFAULT) -> Answer:
+    """Solve the quickstart with changes and take its labels."""
     row = row_of(sets)
     made = presolve.presolved(scene_of_row.build(row))
-    if any(shift):
-        dx, dy = (made.edge * s for s in shift)
-        x0, x1, y0, y1 = mesh.footprint(made)
-        built = mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge)
-    else:
-        built = mesh.of(made)
+    built = mesh.of(made)
     started = time.process_time()
     problem = mechanics.Problem.of(made, built, options)
     ready = time.process_time()
@@ -150,7 +140,7 @@ def answer(
     found = contact_maps.maps(problem, coated.moved(last.x), last, camera)
     dots = camera.project(seen.moved(last.x).at(centers(DOTS)))
     return Answer(
-        np.array([state.traction_force.sum((0, 1)) for state in states]),
+        forces_of(states),
         np.nan_to_num(found.pressure),
         _probed(made.gel, problem, last),
         dots,

@@ -174,9 +174,9 @@ def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
         yield workers.map
 
 
-def peak_memory(process: int | str = "self") -> float:
-    """Peak memory of a process [MB]; getrusage would include that of the parent before the fork."""
-    return float(Path(f"/proc/{process}/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
+def peak_memory() -> float:
+    """Peak memory of this process [MB]; getrusage would include that of the parent before the fork."""
+    return float(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
 
 
 def front(x: Sequence[float], y: Sequence[float]) -> list[int]:

@@ -108,19 +108,11 @@ def allen_key() -> "trimesh.Trimesh":
     return body
 
 
-def tube() -> "trimesh.Trimesh":
-    """A tube of 6 mm with a wall of .2 mm."""
+def created(kind: str, **sizes: float) -> "trimesh.Trimesh":
+    """A mesh of trimesh.creation."""
     import trimesh
 
-    made: trimesh.Trimesh = trimesh.creation.annulus(r_min=2.8, r_max=3.0, height=5, sections=96)
-    return made
-
-
-def torus() -> "trimesh.Trimesh":
-    """A lying ring of round wire, with creases of 11 deg inside."""
-    import trimesh
-
-    made: trimesh.Trimesh = trimesh.creation.torus(major_radius=3, minor_radius=1)
+    made: trimesh.Trimesh = getattr(trimesh.creation, kind)(**sizes)
     return made
 
 
@@ -149,9 +141,9 @@ CASES = (
     Case("block on its edge", 0.6, lambda: block((6, 4, 3), (1, 0, 1))),
     Case("block on its corner", 0.6, lambda: block((4, 4, 4), (1, 1, 1))),
     Case("block on its corner", 1.0, lambda: block((4, 4, 4), (1, 1, 1))),
-    Case("tube, wall of .2 mm", 0.5, tube),
+    Case("tube, wall of .2 mm", 0.5, lambda: created("annulus", r_min=2.8, r_max=3.0, height=5, sections=96)),
     Case("plate of .12 mm on its edge", 0.5, lambda: block((6, 0.12, 5), (0, 0, -1))),
-    Case("torus of triangles", 0.5, torus),
+    Case("torus of triangles", 0.5, lambda: created("torus", major_radius=3, minor_radius=1)),
     Case("nut", 0.4, nut, long=True),
     Case("Allen key", 0.5, allen_key),
     *(Case(name, 0.4, name, long=name in ("key", "gear")) for name in ("key", "letters", "gear", "hex_bolt", "ring")),

@@ -56,10 +56,8 @@ def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) 
             efficiency = rates[-1] / rates[0] / n
             rows.append([n, ends[0] - started - scene, rates[-1], efficiency, alone[0] / alone[-1], same])
             say(f"{n} workers: {rates[-1]:.2f} frames a second, efficiency {efficiency:.2f}, {rows[-1][4]:.2f} without")
-    heads = columns(
-        "workers: d", "start [s]: .1f", "frames a second: .2f", "efficiency: .2f", "without an engine: .2f",
-        "equal bytes",
-    )  # fmt: skip
+    heads = columns("workers: d", "start [s]: .1f", "frames a second: .2f", "efficiency: .2f", "without an engine: .2f")
+    heads |= columns("equal bytes")
     note = (
         f"{each} scenes per worker of {frames} frames at `draft` on the Mini: force, traction, height, markers, rgb."
         " Wall-clock seconds, which other work on the machine increases. Start: time until a worker begins its first"

@@ -1,9 +1,10 @@
-"""Draw the pictures of docs/cookbook that are named as recipes: sensor_pairs, contact_events, uncertainty, taxels.
+"""Draw a picture of the documentation that is named as its recipe; DRAWN has them.
 
-python scripts/cookbook_figures.py out docs/cookbook, after `tacgen run NAME -o out/NAME` for each of these recipes.
+python scripts/cookbook_figures.py NAME out/NAME docs/cookbook/NAME.png, after `tacgen run NAME -o out/NAME`.
 """
 
 import sys
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,18 @@ from matplotlib.figure import Figure
 
 from tacgen.bundle import caption, dataset, taxels
 from tacgen.bundle.bundle import Bundle
+from tacgen.geometry.pose import Pose
+from tacgen.recipe.indenters import analytic
+from tacgen.recipe.model import Recipe
 from tacgen.report.bundle_figure import LINES, image_size, scale_of, window_of
 
 COLOURS = {"sticks": "#0b6fa4", "friction used": "#c2571a"}
 HEIGHT, DPI = 1.6, 100  # of a panel [inches]; pixels an inch
 NINETY = 1.645  # standard deviations on both sides of a 90 % interval
 TAXELS, PITCH = (6, 8), 2.35  # rows and columns, and mm apart
+FINGERS = {"left": "#0b6fa4", "right": "#c2571a"}
+HELD = ("stands", "held", "falls")  # modes of a grasp
+REACH = 12.0  # of the section of a grasp, from the gripper's middle [mm]
 SHEAR = 5.0  # length of an arrow [mm] per N
 
 
@@ -124,9 +131,55 @@ def binned(bundle: Bundle) -> Figure:
     return sheet
 
 
-DRAWN = {"sensor_pairs": pairs, "contact_events": lambda found: events(found[0])}
+def section(bundle: Bundle, k: int) -> np.ndarray:
+    """Points (n, 3) of the face now in the world [mm], down the middle of the image."""
+    height, sensor = bundle.frame("/frames/height", k), bundle.sensor
+    rows = (np.arange(height.shape[0]) + 0.5) * sensor.camera.height_px / height.shape[0]
+    y = (rows - sensor.camera.height_px / 2) * sensor.camera.mm_per_px
+    local = np.column_stack([np.zeros(len(y)), y, height[:, height.shape[1] // 2]])
+    return Pose.of(bundle.frame("/frames/grasp/sensor", k)).world(local)
+
+
+def grasp(found: list[Bundle]) -> Figure:
+    """The fingers of a grasp in section, and both cameras, where the movement or the object's mode ends."""
+    bundles = {str(bundle.attrs["finger"]): bundle for bundle in found}
+    left = bundles["left"]
+    shape = analytic(Recipe.model_validate(left.recipe).indenter)
+    modes = left["/frames/grasp/mode"]
+    ends = np.cumsum([len(list(group)) for _, group in groupby(zip(left.segments, modes, strict=True))]) - 1
+    shown = [int(k) for k in ends][:5]
+    sheet = Figure(figsize=(2.1 * len(shown), 6.4), layout="constrained")
+    grid = sheet.subplots(3, len(shown))
+    for column, k in zip(grid.T, shown, strict=True):
+        x, z = np.meshgrid(np.linspace(-REACH, REACH, 200), np.linspace(-REACH, REACH + 6, 250))
+        pose = left.frame("/frames/grasp/object", k)
+        points = np.stack([x, np.full_like(x, pose[1, 3]), z], -1).reshape(-1, 3)
+        gap = shape.distance(Pose.of(pose).local(points))[0].reshape(x.shape)
+        column[0].contourf(x, z, gap, levels=[-1e3, 0], colors="#c9c9c9")
+        for side, bundle in bundles.items():
+            face, sensor = section(bundle, k), bundle.frame("/frames/grasp/sensor", k)
+            column[0].plot(face[:, 0], face[:, 2], color=FINGERS[side], linewidth=1.5)
+            force = -sensor[:3, :3] @ bundle.frame("/frames/force", k)
+            at = [sensor[0, 3], pose[2, 3] + shape.support(np.array([0.0, 0.0, 1.0])) / 2]
+            style = {"angles": "xy", "scale_units": "xy", "scale": 0.6, "color": FINGERS[side], "width": 0.02}
+            column[0].quiver(*at, force[0], force[2], **style)
+        title = f"frame {k}: {left.segments[k]}, {HELD[modes[k]]}"
+        column[0].set(title=title, xlim=(-REACH, REACH), ylim=(-REACH, REACH + 4), aspect="equal", xlabel="x [mm]")
+        for axes, side in zip(column[1:], FINGERS, strict=True):
+            axes.imshow(bundles[side].frame("/frames/rgb", k))
+            axes.set(xticks=[], yticks=[])
+            axes.spines[:].set(color=FINGERS[side], linewidth=2)
+        for axes in column:
+            axes.title.set_fontsize(8)
+            axes.tick_params(labelsize=7)
+    grid[0, 0].set_ylabel("z of the world [mm]")
+    for axes, side in zip(grid[1:, 0], FINGERS, strict=True):
+        axes.set_ylabel(f"{side}: {bundles[side].attrs['sensor']}")
+    return sheet
+
+
+DRAWN = {"sensor_pairs": pairs, "grasp": grasp, "contact_events": lambda found: events(found[0])}
 DRAWN |= {"uncertainty": lambda found: uncertainty(found[0]), "taxels": lambda found: binned(found[0])}
 if __name__ == "__main__":
-    source, out = Path(sys.argv[1]), Path(sys.argv[2])
-    for name, draw in DRAWN.items():
-        draw(dataset.scenes(source / name)).savefig(out / f"{name}.png", dpi=DPI)
+    name, source, out = sys.argv[1:]
+    DRAWN[name](dataset.scenes(Path(source))).savefig(out, dpi=DPI)

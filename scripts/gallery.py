@@ -119,22 +119,12 @@ def paths_sheet(found: dict[str, list[Bundle]]) -> Figure:
             panel.imshow(picture)
             panel.set(xticks=[], yticks=[])
         column[0].set_title(sensor, fontsize=9)
-        column[1].set_xlabel(f"{paths_of(found[sensor])} paths a pixel", fontsize=8)
+        column[1].set_xlabel(f"{found[sensor][0].recipe['quality']['spp']} paths a pixel", fontsize=8)
         decibel, bias = 20 * np.log10(255 / np.sqrt(np.mean(off**2))), off.mean()
         column[2].set_xlabel(f"{decibel:.1f} dB with its noise,\nmean {bias:+.2f} counts", fontsize=8)
     for panel, label in zip(grid[:, 0], ("transport", "path", f"difference x {CONTRAST}"), strict=True):
         panel.set_ylabel(label, fontsize=9)
     return drawn
-
-
-def paths_of(bundles: list[Bundle]) -> int:
-    """Paths a pixel of a recipe with numbers for its quality."""
-    return int(bundles[0].recipe["quality"]["spp"])
-
-
-def how_far(move: dict[str, object]) -> str:
-    """`x_mm: 0.8, y_mm: 0`: the values of a movement that have a unit."""
-    return ", ".join(f"{key}: {value:g}" for key, value in move.items() if key.endswith(("_mm", "_deg")))
 
 
 def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
@@ -163,7 +153,8 @@ def page(found: dict[str, list[Bundle]], paths: bool) -> str:
     for kind in kinds:
         about = inspect.getdoc(get_args(Segment.model_fields[kind].annotation)[0]).split("\n\n")[0].replace("\n", " ")
         move = next(step[kind] for step in columns(first, kind)[0][1].recipe["trajectory"] if step.get(kind))
-        moves.append(f"| [{kind}](#{sensor}-{kind}) | {about} | {how_far(move)} |")
+        far = ", ".join(f"{key}: {value:g}" for key, value in move.items() if key.endswith(("_mm", "_deg")))
+        moves.append(f"| [{kind}](#{sensor}-{kind}) | {about} | {far} |")
     for sensor, bundles in found.items():
         sheets += heading(sensor, bundles)
         for kind in kinds:

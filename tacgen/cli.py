@@ -42,8 +42,7 @@ Sets = Annotated[
 FORMATS = "lerobot, webdataset, zarr, sparsh, feats, feelanyforce, univtac, rerun, vtkhdf or exr"
 Merge = Annotated[bool, typer.Option("--merge", help="Take several data sets below the folder as one.")]
 Workers = Annotated[
-    str,
-    typer.Option(metavar="N", help="Number of worker processes, one core each; auto: as cores and memory allow."),
+    str, typer.Option(metavar="N", help="Number of worker processes, one core each; auto: as cores and memory allow.")
 ]
 
 app.add_typer(calibrations, name="calibrate")
@@ -148,8 +147,7 @@ def run(
 
 @app.command()
 def status(
-    folder: Annotated[Path, typer.Argument(help="A folder that `run` writes into.")],
-    as_json: AsJson = False,
+    folder: Annotated[Path, typer.Argument(help="A folder that `run` writes into.")], as_json: AsJson = False
 ) -> None:
     """Print the state of a run: scenes that are done, rejected, failed (with reasons), running and waiting."""
     from tacgen.bundle import dataset
@@ -217,8 +215,7 @@ def show_plan(
     sets: Sets = None,
     shard: Annotated[str, typer.Option(metavar="I/N", help="Only part I of N of the scenes.")] = "0/1",
     estimate: Annotated[
-        bool,
-        typer.Option("--estimate", help="Print what they would cost instead; it times a few of them."),
+        bool, typer.Option("--estimate", help="Print what they would cost instead; it times a few of them.")
     ] = False,
     workers: Workers = "auto",
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV.")] = False,
@@ -279,8 +276,7 @@ def show_list(
 
 @app.command()
 def check(
-    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
-    as_json: AsJson = False,
+    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")], as_json: AsJson = False
 ) -> None:
     """Check that bundles are complete and unchanged, values finite, forces balanced; all but notes give exit code 1."""
     from tacgen.bundle.check import check as find

@@ -15,6 +15,11 @@ calibrations = typer.Typer(
 )
 SensorFile = Annotated[str, typer.Option("--sensor", help="The sensor file to start from, by name or path.")]
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="Write the sensor file here.")]
+Shift = Annotated[
+    float, typer.Option(min=0, help="Largest shift of the LEDs from the file's positions; 0: fit radiances only.")
+]
+Rotation = Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")]
+NoMarkers = Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")]
 Anyway = Annotated[bool, typer.Option("--anyway", help="Write the file though the fit is not plausible.")]
 
 
@@ -25,11 +30,9 @@ def optics(
         Path, typer.Option("--images", help="A folder: background.png, and ball presses listed in presses.csv.")
     ],
     out: Out = None,
-    tolerance_mm: Annotated[
-        float, typer.Option(min=0, help="Largest shift of the LEDs from the file's positions; 0: fit radiances only.")
-    ] = 0.5,
-    tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")] = 5.0,
-    no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")] = False,
+    tolerance_mm: Shift = 0.5,
+    tolerance_deg: Rotation = 5.0,
+    no_markers: NoMarkers = False,
     steps: Annotated[int, typer.Option(min=1, help="Largest number of iterations of a fit, for each ridge.")] = 1,
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Draw unseen presses: photographed, and rendered before and after.")
@@ -53,15 +56,13 @@ def optics(
 def material(
     sensor: SensorFile,
     recipe: Annotated[
-        str,
-        typer.Option("--recipe", help="A recipe: its indenter, friction and quality are used, not its movements."),
+        str, typer.Option("--recipe", help="A recipe: its indenter, friction and quality are used, not its movements.")
     ],
     data: Annotated[Path, typer.Option("--data", help="CSV of forces: depth_mm, force_n and, for relaxation, time_s.")],
     out: Out = None,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw forces and residuals of the fit.")] = None,
     second: Annotated[
-        str,
-        typer.Option(metavar="PATH=LOW:HIGH", help="Also fit this number, such as contact.friction=0:0.5."),
+        str, typer.Option(metavar="PATH=LOW:HIGH", help="Also fit this number, such as contact.friction=0:0.5.")
     ] = "",
     no_zero: Annotated[bool, typer.Option("--no-zero", help="Depths are exact: do not fit their zero.")] = False,
     prony: Annotated[int, typer.Option(min=0, max=3, help="Terms of a Prony series to fit; needs time_s.")] = 0,
@@ -93,11 +94,9 @@ def unit(
         bool, typer.Option("--keep-thickness", help="The gel is as thick as the sensor file says.")
     ] = False,
     no_lights: Annotated[bool, typer.Option("--no-lights", help="Do not fit the lights.")] = False,
-    tolerance_mm: Annotated[
-        float, typer.Option(min=0, help="Largest shift of the LEDs from the file's positions; 0: fit radiances only.")
-    ] = 0.5,
-    tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")] = 5.0,
-    no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")] = False,
+    tolerance_mm: Shift = 0.5,
+    tolerance_deg: Rotation = 5.0,
+    no_markers: NoMarkers = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw forces from pictures over measured ones.")] = None,
     anyway: Anyway = False,
     overwrite: Overwrite = False,

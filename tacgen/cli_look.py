@@ -65,13 +65,6 @@ def show(
     tell(str(out))
 
 
-def several(path: Path) -> bool:
-    """Whether a folder holds more than one bundle."""
-    from tacgen.bundle import dataset
-
-    return path.is_dir() and len(dataset.scenes(path)) > 1
-
-
 def view(
     path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     other: Annotated[Path | None, typer.Argument(help="Another bundle, shown side by side.")] = None,
@@ -81,18 +74,16 @@ def view(
 ) -> None:
     """Write an interactive HTML page of a bundle: camera image, maps, and the gel with its stress in 3D; of a folder of
     several bundles a list of them with filters, and a page of each beside it."""
+    from tacgen.bundle import dataset
     from tacgen.report import scene_pages, viewer
 
-    if other is None and several(path):
-        with written(out, [path], overwrite, "page") as page:
-            left = scene_pages.write(path, page, out)
-        tell(f"{out}" + (f": {left} scenes have no page" if left else ""))
-        if browse:
-            typer.launch(str(out))
-        return
-    bundles = [path] if other is None else [path, other]
+    bundles, left = [path] if other is None else [path, other], 0
+    several = other is None and path.is_dir() and len(dataset.scenes(path)) > 1
     with written(out, bundles, overwrite, "page") as page:
-        viewer.write(bundles, page)
-    tell(str(out))
+        if several:
+            left = scene_pages.write(path, page, out)
+        else:
+            viewer.write(bundles, page)
+    tell(f"{out}: {left} scenes have no page" if left else str(out))
     if browse:
         typer.launch(str(out))

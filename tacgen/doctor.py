@@ -5,7 +5,7 @@ import platform
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
@@ -32,15 +32,12 @@ def examine() -> list[Diagnosis]:
     """Run all tests; one that fails is a finding, never an exception."""
     diagnoses: list[Diagnosis] = []
     for trial in (_python, _packages, _solvers, _rendering, _hdf5, _threads, _disk):
-        diagnoses += _tried(trial)
+        try:
+            diagnoses += list(trial())
+        except Exception as error:  # any error is a diagnosis
+            said = f"{type(error).__name__}: {error}".split("\n")[0]
+            diagnoses.append(Diagnosis(trial.__name__.strip("_"), False, said))
     return diagnoses
-
-
-def _tried(trial: Callable[[], Iterator[Diagnosis]]) -> list[Diagnosis]:
-    try:
-        return list(trial())
-    except Exception as error:  # any error is a diagnosis
-        return [Diagnosis(trial.__name__.strip("_"), False, f"{type(error).__name__}: {error}".split("\n")[0])]
 
 
 def _python() -> Iterator[Diagnosis]:

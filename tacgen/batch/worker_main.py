@@ -117,11 +117,8 @@ def _return_memory() -> None:
 
 def _be_killed_first() -> None:
     """Have Linux kill this process before the parent when memory runs out; the parent records it."""
-    try:
-        with open("/proc/self/oom_score_adj", "w") as file:
-            file.write("500")
-    except OSError:
-        pass
+    with suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
+        file.write("500")
 
 
 if __name__ == "__main__":

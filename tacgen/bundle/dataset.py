@@ -88,7 +88,8 @@ def scenes(source: Path, *, merge: bool = False) -> list[Bundle]:
         left = some([path.name for path in others])
         warnings.warn(f"{others[0].parent}: left out {left}: not of the plan there", LeftOut, stacklevel=2)
     if not bundles:
-        raise UserError(f"{source}: no bundles (*.h5) in this folder" + _hint(packs(source)))
+        hint = f"; packed scenes are in {inside[0]}" if (inside := packs(source)) else ""
+        raise UserError(f"{source}: no bundles (*.h5) in this folder{hint}")
     return bundles
 
 
@@ -180,10 +181,6 @@ def _folders(folder: Path) -> Iterator[tuple[Path, list[str]]]:
 def _refuse(error: OSError) -> None:
     """Raise UserError: a folder that cannot be read must not count as empty."""
     raise UserError(f"{error.filename}: cannot be read: {error.strerror}") from None
-
-
-def _hint(folders: list[Path]) -> str:
-    return f"; packed scenes are in {folders[0]}" if folders else ""
 
 
 def is_packed(folder: Path) -> bool:

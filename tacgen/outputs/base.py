@@ -60,6 +60,11 @@ class Entry:
         return f"multiples of 2^{self.power}" if self.power is not None else f"{self.bits} bits" if self.bits else ""
 
 
+def number(long_name: str, units: str = "1", nan: bool = False) -> Entry:
+    """The row of a dataset with one floating-point number a frame."""
+    return Entry("<f8", "N", units, long_name, nan=nan)
+
+
 class DrawnMap(NamedTuple):
     """A map over the frames in figures and in the viewer, with a perceptually uniform colour map of matplotlib."""
 

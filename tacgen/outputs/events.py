@@ -1,6 +1,6 @@
 """The state of the contact as a whole, one mode and five numbers a frame."""
 
-from tacgen.outputs.base import Datasets, Entry, FrameData, Output
+from tacgen.outputs.base import Datasets, Entry, FrameData, Output, number
 
 MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")
 
@@ -18,14 +18,12 @@ OUTPUT = Output(
         "/frames/events/mode": Entry(
             "<i4", "N", "1", ", ".join(f"{number} {mode}" for number, mode in enumerate(MODES))
         ),
-        "/frames/events/stick_ratio": Entry("<f8", "N", "1", "share of the normal force that does not slide"),
-        "/frames/events/friction_used": Entry(
-            "<f8", "N", "1", "load along the face over what friction can bear; 1 where all of it slides"
+        "/frames/events/stick_ratio": number("share of the normal force that does not slide"),
+        "/frames/events/friction_used": number(
+            "load along the face over what friction can bear; 1 where all of it slides"
         ),
         "/frames/events/center_of_pressure": Entry("<f8", "N 3", "mm", "centre of pressure in the sensor frame"),
-        "/frames/events/contact_area": Entry(
-            "<f8", "N", "mm^2", "area of the deformed face in contact, in view or not"
-        ),
+        "/frames/events/contact_area": number("area of the deformed face in contact, in view or not", "mm^2"),
         "/frames/events/patches": Entry("<i4", "N", "1", "pieces that the contact consists of, in view or not"),
     },
     _frame,

@@ -1,6 +1,6 @@
 """Pose of the indenter, force and torque on the gel, and how well the frame is solved: in every bundle."""
 
-from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output
+from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, number
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -41,7 +41,7 @@ OUTPUT = Output(
             "<f8", "N 4 4", "mm", "pose of the indenter in the sensor frame", axes="frame row column", most=FAR
         ),
         "/frames/segment": Entry("<i4", "N", "1", "index of the trajectory segment the frame belongs to"),
-        "/frames/time": Entry("<f8", "N", "s", "time since the start of the path, where time counts"),
+        "/frames/time": number("time since the start of the path, where time counts", "s"),
         "/frames/force": Entry("<f8", "N 3", "N", "force on the gel"),
         "/frames/normal_force": Entry(
             "<f8",
@@ -71,36 +71,23 @@ OUTPUT = Output(
             "no step needed damping since the gel was last untouched: where false, forces may depend on the step size",
         ),
         "/frames/quality/substeps": Entry("<i4", "N", "1", "steps the frame was split into"),
-        "/frames/quality/min_gap_mm": Entry("<f8", "N", "mm", "smallest gap between gel and indenter"),
-        "/frames/quality/mean_gap_mm": Entry("<f8", "N", "mm", "pressure-weighted mean gap"),
-        "/frames/quality/overlap_mm": Entry(
-            "<f8", "N", "mm", "how deep the face is in the indenter between contact points"
-        ),
-        "/frames/quality/rounded": Entry(
-            "<f8",
-            "N",
-            "1",
+        "/frames/quality/min_gap_mm": number("smallest gap between gel and indenter", "mm"),
+        "/frames/quality/mean_gap_mm": number("pressure-weighted mean gap", "mm"),
+        "/frames/quality/overlap_mm": number("how deep the face is in the indenter between contact points", "mm"),
+        "/frames/quality/rounded": number(
             "share of friction at points that crossed a sharp edge in one step; above .05 forces depend on the"
-            " step size",
+            " step size"
         ),
-        "/frames/quality/force_balance": Entry(
-            "<f8", "N", "1", "norm of force + base reaction, over force; bounds as of residual"
+        "/frames/quality/force_balance": number("norm of force + base reaction, over force; bounds as of residual"),
+        "/frames/quality/residual": number(
+            "2-norm of the free nodes' forces, over force: at most .001, of frames with damped steps .05"
         ),
-        "/frames/quality/residual": Entry(
-            "<f8",
-            "N",
-            "1",
-            "2-norm of the free nodes' forces, over force: at most .001, of frames with damped steps .05",
-        ),
-        "/frames/quality/expected_force_error": Entry(
-            "<f8",
-            "N",
-            "1",
+        "/frames/quality/expected_force_error": number(
             "expected error of the force by the mesh, over the force, within a factor of 2; nan without contact and"
             " for linear tetrahedra",
             nan=True,
         ),
-        "/frames/quality/least_jacobian": Entry("<f8", "N", "1", "certified lower bound of det F over all of the gel"),
+        "/frames/quality/least_jacobian": number("certified lower bound of det F over all of the gel"),
     },
     _frame,
 )

@@ -1,7 +1,7 @@
 """The force behind each sample of the image; the samples sum to the whole force."""
 
 from tacgen.outputs import traction
-from tacgen.outputs.base import Datasets, Entry, FrameData, Output
+from tacgen.outputs.base import Datasets, Entry, FrameData, Output, number
 
 UNSEEN = "/frames/quality/unseen_force"
 
@@ -23,7 +23,7 @@ OUTPUT = Output(
     {
         "/frames/force_map": Entry("<f4", "N h w 3", "N", "force on the gel behind each sample", bits=17),
         "/frames/area": Entry("<f4", "N h w", "mm^2", "area of the deformed coated face behind each sample", bits=13),
-        "/frames/quality/force_map_resultant": Entry("<f8", "N", "1", "sum of force_map less force, over force"),
+        "/frames/quality/force_map_resultant": number("sum of force_map less force, over force"),
         UNSEEN: traction.OUTPUT.rows[UNSEEN],
     },
     _frame,

@@ -1,6 +1,6 @@
 """The object and the fingers of a grasp, in each finger's bundle."""
 
-from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output
+from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, number
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -25,15 +25,15 @@ OUTPUT = Output(
         "/frames/grasp/sensor": Entry(
             "<f8", "N 4 4", "mm", "pose of this finger's sensor frame in the world", axes="frame row column", most=FAR
         ),
-        "/frames/grasp/width_mm": Entry("<f8", "N", "mm", "distance of the fingers' untouched faces"),
+        "/frames/grasp/width_mm": number("distance of the fingers' untouched faces", "mm"),
         "/frames/grasp/mode": Entry(
             "<i4", "N", "1", "the object: 0 stands on the table, 1 is held, 2 falls: friction does not bear it"
         ),
-        "/frames/grasp/unborne": Entry(
-            "<f8", "N", "N", "part of the weight that the fingers do not bear: the table does, or nothing"
+        "/frames/grasp/unborne": number(
+            "part of the weight that the fingers do not bear: the table does, or nothing", "N"
         ),
-        "/frames/grasp/balance": Entry(
-            "<f8", "N", "1", "norm of what acts on the object in the directions in which it is free, over grip"
+        "/frames/grasp/balance": number(
+            "norm of what acts on the object in the directions in which it is free, over grip"
         ),
     },
     _frame,

@@ -1,6 +1,6 @@
 """Displacement and Cauchy stress of the whole gel, with its mesh."""
 
-from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, SceneData
+from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, SceneData, number
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -31,9 +31,9 @@ OUTPUT = Output(
         "/mesh/facets/*": Entry(
             "<i4", "* 3|4|6", "1", "nodes of each facet of a named patch", axes="facet corner", below="n"
         ),
-        "/frames/quality/force_error": Entry("<f8", "N", "1", "sum of recovered sigma n da less force, over force"),
-        "/frames/quality/traction_error": Entry("<f8", "N", "1", "L2 norm of sigma n less traction, over that"),
-        "/frames/quality/pressure_oscillation": Entry("<f8", "N", "1", "rms of element less smooth pressure"),
+        "/frames/quality/force_error": number("sum of recovered sigma n da less force, over force"),
+        "/frames/quality/traction_error": number("L2 norm of sigma n less traction, over that"),
+        "/frames/quality/pressure_oscillation": number("rms of element less smooth pressure"),
     },
     _frame,
     _mesh,

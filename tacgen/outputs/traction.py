@@ -1,6 +1,6 @@
 """Maps of pressure, friction and contact on the deformed coated face."""
 
-from tacgen.outputs.base import Datasets, DrawnMap, Entry, FrameData, Output
+from tacgen.outputs.base import Datasets, DrawnMap, Entry, FrameData, Output, number
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -22,18 +22,13 @@ OUTPUT = Output(
         "/frames/contact": Entry("|b1", "N h w", "1", "in contact"),
         "/frames/slip": Entry("|b1", "N h w", "1", "in contact, and half or more of the pressure slides"),
         "/frames/sliding": Entry("<f4", "N h w", "1", "share of the pressure that slides, 0 to 1", power=-10),
-        "/frames/quality/pressure_resultant": Entry(
-            "<f8", "N", "1", "integral of -pressure n da less the normal contact forces, over force"
+        "/frames/quality/pressure_resultant": number(
+            "integral of -pressure n da less the normal contact forces, over force"
         ),
-        "/frames/quality/traction_resultant": Entry(
-            "<f8", "N", "1", "integral of traction da less friction, over force"
-        ),
-        "/frames/quality/unseen_force": Entry(
-            "<f8",
-            "N",
-            "1",
+        "/frames/quality/traction_resultant": number("integral of traction da less friction, over force"),
+        "/frames/quality/unseen_force": number(
             "share of the normal forces that pressure and traction do not show: on gel hidden by other gel, or outside"
-            " the picture",
+            " the picture"
         ),
     },
     _frame,

@@ -28,13 +28,8 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Issue]
     if name is None:
         return []
     if not recipe.outputs & IMAGES:
-        return [
-            Issue(
-                WHERE,
-                "has no effect: outputs do not ask for rgb or radiance: add rgb to them, or leave background out",
-                at_key=True,
-            )
-        ]
+        text = "has no effect: outputs do not ask for rgb or radiance: add rgb to them, or leave background out"
+        return [Issue(WHERE, text, at_key=True)]
     path = assets.beside(name, folder)
     try:
         sha256 = assets.sha256(path)

@@ -105,18 +105,8 @@ def _crossed(tree: Tree) -> Tree:
         tree = tree.replaced(("vary",), Tree({"method": "grid", "over": {}}))
     key = "grid" if vary else "over"
     if "sensor" in (at(vary, (key,)) or {}):
-        raise report(
-            [
-                (
-                    Issue(
-                        ("vary", key, "sensor"),
-                        "cannot be given beside sensors, which are varied already: leave it out",
-                        at_key=True,
-                    ),
-                    tree,
-                )
-            ]
-        )
+        text = "cannot be given beside sensors, which are varied already: leave it out"
+        raise report([(Issue(("vary", key, "sensor"), text, at_key=True), tree)])
     return tree.replaced(("vary", key, "sensor"), choice)
 
 

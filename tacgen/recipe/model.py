@@ -123,11 +123,7 @@ class Quality(NamedTuple):
     spp: int  # samples a pixel
 
 
-QUALITIES = {
-    "draft": Quality(0.6, 0.05, 16),
-    "default": Quality(0.36, 0.02, 64),
-    "reference": Quality(0.2, 0.01, 512),
-}
+QUALITIES = {"draft": Quality(0.6, 0.05, 16), "default": Quality(0.36, 0.02, 64), "reference": Quality(0.2, 0.01, 512)}
 
 
 class QualityNumbers(Part):
@@ -167,10 +163,7 @@ class Distribution(Part, json_schema_extra=ONE_KEY):
             raise ValueError(f"must be [low, high] with low < high (got [{value[0]:g}, {value[1]:g}])")
         return value
 
-    @model_validator(mode="after")
-    def _one(self) -> "Distribution":
-        exactly_one(self, "one distribution")
-        return self
+    _one = exactly_one("one distribution")
 
 
 FEW = 256  # samples up to which an optimised Latin hypercube is used: more even than Sobol's, computed within 1 s

@@ -74,10 +74,7 @@ class Press(Paced):
     depth_mm: Positive | None = None
     force_n: Positive | None = None
 
-    @model_validator(mode="after")
-    def _one(self) -> "Press":
-        exactly_one(self, "one aim", ("depth_mm", "force_n"))
-        return self
+    _one = exactly_one("one aim", "depth_mm", "force_n")
 
 
 class Slide(Paced):
@@ -157,10 +154,7 @@ class Close(Timed):
     width_mm: Positive | None = None
     force_n: Positive | None = None
 
-    @model_validator(mode="after")
-    def _one(self) -> "Close":
-        exactly_one(self, "one aim", ("width_mm", "force_n"))
-        return self
+    _one = exactly_one("one aim", "width_mm", "force_n")
 
 
 class Lift(Timed):
@@ -189,10 +183,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
     close: Close | None = None
     lift: Lift | None = None
 
-    @model_validator(mode="after")
-    def _one(self) -> "Segment":
-        exactly_one(self, "one movement")
-        return self
+    _one = exactly_one("one movement")
 
     @cached_property
     def kind(self) -> str:

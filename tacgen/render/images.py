@@ -214,10 +214,7 @@ class Renderer:
         return self.image(self.untouched)
 
     def develop(
-        self,
-        radiance: "NDArray[np.float32]",
-        random: np.random.Generator | None = None,
-        gain: "Floats | None" = None,
+        self, radiance: "NDArray[np.float32]", random: np.random.Generator | None = None, gain: "Floats | None" = None
     ) -> "NDArray[np.uint8]":
         """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given, and as JPEG
         leaves it if the camera compresses its pictures; `gain` (3,) is a factor on each colour."""

@@ -169,11 +169,7 @@ class PathTracer:
 
     def radiance(self, surface: Surface, spp: int, seed: int) -> "Floats":
         """Linear radiance (H, W, 3): unbiased, noisy, the same for a seed at any thread count."""
-        return self.render(self.sheet.at(surface), spp, seed)
-
-    def render(self, nodes: "Floats", spp: int, seed: int) -> "Floats":
-        """Linear radiance (H, W, 3) of a face given by the sheet's nodes (nodes, 3) [mm]."""
-        self._move(nodes)
+        self._move(self.sheet.at(surface))
         return self._traced(spp, seed)
 
     def windows(self, nodes: "Floats", windows: Sequence[Window], spp: int, seed: int) -> "Floats":

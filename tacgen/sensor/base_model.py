@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticUndefined
 
 from tacgen.sensor.yaml_source import TAGS
@@ -69,9 +69,14 @@ class Part(BaseModel):
         __init__.__pydantic_base_init__ = True  # pydantic itself makes parts without calling it, as it does by default
 
 
-def exactly_one(part: Part, what: str = "one", names: tuple[str, ...] = ()) -> None:
-    """Raise ValueError unless exactly one field is given, of those in `names` or of all fields."""
-    names = names or tuple(type(part).model_fields)
-    given = [name for name in names if getattr(part, name) is not None]
-    if len(given) != 1:
-        raise ValueError(f"must hold exactly {what} of {', '.join(names)} (got {', '.join(given) or 'none'})")
+def exactly_one(what: str, *names: str) -> Any:
+    """A validator of a part: exactly one field is given, of those in `names` or of all fields."""
+
+    def check(part: Part) -> Part:
+        fields = names or tuple(type(part).model_fields)
+        given = [name for name in fields if getattr(part, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"must hold exactly {what} of {', '.join(fields)} (got {', '.join(given) or 'none'})")
+        return part
+
+    return model_validator(mode="after")(check)

@@ -134,10 +134,7 @@ class NearlyIncompressible(IsochoricLayer):
     bulk_modulus_mpa: Positive | None = None
     """This or `poissons_ratio`."""
 
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        exactly_one(self, names=("poissons_ratio", "bulk_modulus_mpa"))
-        return self
+    _one = exactly_one("one", "poissons_ratio", "bulk_modulus_mpa")
 
     def kappa(self, mu: float) -> float:
         """Bulk modulus [MPa], at a shear modulus mu if it is not given."""

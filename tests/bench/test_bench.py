@@ -168,17 +168,17 @@ def test_a_function_runs_in_its_own_process() -> None:
 
 @pytest.mark.slow
 def test_a_bench_that_fails_is_reported_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from benchmarks import cost, scaling
+    from benchmarks import optics, peers
 
     def fails(level: results_page.Level, say: results_page.Say) -> results_page.Result:
         raise ValueError("no such luck")
 
-    monkeypatch.setattr(cost, "bench", fails)
-    monkeypatch.setattr(scaling, "bench", lambda level, say: result(1.0))
+    monkeypatch.setattr(optics, "bench", fails)
+    monkeypatch.setattr(peers, "bench", lambda level, say: result(1.0))
     said: list[str] = []
-    assert bench.run(["cost", "scaling"], tmp_path, "smoke", said.append) == ["cost"]
+    assert bench.run(["optics", "peers"], tmp_path, "smoke", said.append) == ["optics"]
     assert "no such luck" in "\n".join(said)
-    assert "## Scaling" in (tmp_path / "RESULTS.md").read_text()
+    assert "## Peers" in (tmp_path / "RESULTS.md").read_text()
 
 
 def test_an_unknown_bench_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -243,7 +243,7 @@ def test_a_bench_has_one_thread_though_numpy_is_loaded(tmp_path: Path, monkeypat
 
     monkeypatch.setattr(bench, "import_module", lambda name: SimpleNamespace(bench=threads))
     with threadpool_limits(2):
-        assert bench.run(["cost"], tmp_path, "smoke", print) == []
+        assert bench.run(["peers"], tmp_path, "smoke", print) == []
     assert set(seen) == {1}
 
 
@@ -343,12 +343,12 @@ def test_everything_is_what_a_recipe_can_ask_of_that_sensor(sensor: str) -> None
     assert ("markers" in asked) == (sensor == "gelsight_mini")
 
 
-@pytest.mark.parametrize("name", ["RESULTS.md", "results/cost.json", "results/cost.png"])
+@pytest.mark.parametrize("name", ["RESULTS.md", "results/peers.json", "results/peers.png"])
 def test_a_file_that_no_bench_wrote_is_not_replaced(tmp_path: Path, name: str) -> None:
     (place := tmp_path / name).parent.mkdir(exist_ok=True)
     place.write_text("mine")
     with pytest.raises(UserError, match=f"{name}: was not written by python -m benchmarks"):
-        bench.run(["cost"], tmp_path, "smoke", print)
+        bench.run(["peers"], tmp_path, "smoke", print)
     assert place.read_text() == "mine"
 
 

@@ -157,7 +157,7 @@ def test_the_mean_is_what_a_set_costs_and_objects_stand_apart() -> None:
     long = ordinary.Outcome(draws.BALL, "draft", "ok", frames=9, seconds=0.9, stable=9)
     short = replace(long, draw=replace(draws.BALL, shape="key"), frames=1, seconds=2.1, stable=0)
     late = replace(short, status="out of time", seconds=150.0)
-    assert ordinary._mean([long.seconds, short.seconds], [long.frames, short.frames]) == pytest.approx(0.3)
+    assert ordinary._mean([long, short, late]) == pytest.approx(0.3)
     named = dict(ordinary._kinds([long, short, late]))
     assert (named["shapes"], named["objects"]) == ([long], [short, late])
     summary_of_all = ordinary._summary("ordinary", [long, short, late])
