@@ -26,7 +26,7 @@ class Fits(Trials):
     """Fits to all photographs, and to all but some that judge them."""
 
     def whole(self, ridge: float, steps: int) -> Fitted:
-        """The fit to all pictures, made as those are that judge it, with at most `steps` tables for each ridge."""
+        """The fit to all pictures, by the method of the fits that judge it; at most `steps` tables for each ridge."""
         every, begin = list(range(len(self.pictures))), self._start
         for hold in RIDGES[: RIDGES.index(ridge) + 1]:
             begin, lights = self._search(begin, every, hold, steps)
@@ -77,7 +77,7 @@ class Fits(Trials):
         for _ in range(steps):
             near = self._tables(v, seen)
             u, found = robust_search.search(near, lights.ravel(), bounds, hold, SOFT)
-            for share in robust_search.SHARES:  # of the way, if the equations are not as linear as taken
+            for share in robust_search.SHARES:  # a shorter step where the linear equations are inaccurate
                 tried = v.copy()
                 tried[free] += share * half * (u - near.at)
                 some = lights.ravel() + share * (found - lights.ravel())

@@ -51,7 +51,7 @@ class Unit(SensorFit):
     sensor: LitSensor
     photos: "UnitPhotos"
     gauge: "Gauge"
-    drift: float  # share of the pictures' changes that light explains which drifts, without any dent
+    drift: float  # share of the pictures' changes that drifting light alone explains, without a dent
     asked: Asked
     fitted: "UnitFit"
     judged: "tuple[Judged, ...]"  # each of some held-out presses
@@ -107,7 +107,7 @@ class Unit(SensorFit):
             yield _shown(lag, f"lag of the gauge in recording {names[k]}", " s")
 
     def unseen(self) -> Iterator[str]:
-        """Errors of forces that a fit has not seen, beside what they would be without pictures and at best."""
+        """Errors of forces held out from a fit, beside the errors without pictures and the least possible ones."""
         if not self.judged:
             yield "not judged: too few presses to hold any out"
             return

@@ -74,7 +74,7 @@ def _again(
     found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried,
     gauge: Gauge, blur: float,
 ) -> UnitFit:  # fmt: skip
-    """The fit to rendered pictures of the presses as found, with forces as of the file's moduli times the found."""
+    """A second fit, to rendered pictures of the fitted presses, with forces of the fitted moduli."""
     k, w = found.optics.between(found.optics.best)
     near = dents[k], dents[min(k + 1, len(dents) - 1)]
     camera, random = Renderer(sensor, SPP, 0, markers=False), np.random.default_rng(0)
@@ -98,7 +98,7 @@ def _blur(fitted: UnitFit) -> float:
 
 
 def _ratio(one: Estimate, again: float) -> Estimate:
-    """An estimate over the ratio by which the second fit is off, with an interval that is wider by its doubt."""
+    """An estimate divided by the second fit's relative error; the interval is widened by the correction's error."""
     shift = float(np.log(one.value / again))
     half = [np.hypot(np.log(end / one.value), 2 * SURE * shift) for end in (one.low, one.high)]
     value = one.value * np.exp(shift)
