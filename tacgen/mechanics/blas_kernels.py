@@ -2,7 +2,7 @@
 
 Version 0.3.15 (2021) chooses by a list of processors. Processors not on it, such as Intel's since Alder Lake and
 Sapphire Rapids, get its oldest kernels, for SSE3. On a Xeon of model 207 these multiply matrices at 6 Gflop/s, the
-SkylakeX kernels at 76 Gflop/s; a Cholesky factorisation by CHOLMOD takes 0.30 s with the former, 0.11 s with the latter.
+SkylakeX kernels at 76 Gflop/s; a Cholesky factorisation by CHOLMOD takes 0.30 s with the first, 0.11 s with the other.
 """
 
 import os
