@@ -253,12 +253,12 @@ def unit_forces(optics: Optics, seen: Sequence[Placed | None], pictures: Picture
 
 @dataclass(frozen=True)
 class Judged:
-    """Readings (n,) [N] of presses that a fit has not seen, and what it says to them from the pictures alone."""
+    """Readings (n,) [N] of presses held out from a fit, and their forces predicted from the pictures alone."""
 
     force: Array
     predicted: Array  # with the gauge's lag of the judged recordings, fitted to their readings, if they have times
     unaligned: Array  # without any lag
-    foreign: Array  # with the colours of the seen presses, where `predicted` has those that the judged pictures tell
+    foreign: Array  # with the colours fitted to the seen presses; `predicted` fits them to the judged pictures
     floor: Array  # the mean of the forces that the fit has seen
     ceiling: Array  # a rising curve over the predicted forces, fitted to the judged readings themselves
     name: str = ""  # of what is held out
@@ -275,10 +275,10 @@ class Judged:
 
 
 def predict(fitted: UnitFit, view: PressView, pictures: Pictures, dents: Tried) -> tuple[Array, Array]:
-    """Forces (n,) [N] of unseen pictures, without the gauge's zero: with colours that these pictures themselves tell if
-    they are many, and with those of the seen pictures.
+    """Forces (n,) [N] of unseen pictures, without the gauge's zero: with colours fitted to these pictures if there are
+    enough of them, and with the colours of the seen pictures.
 
-    Contrast varies over the pad, and presses at one place do not tell it at another.
+    Contrast varies over the pad: presses at one place do not determine it at another.
     """
     optics, start = fitted.optics, view.starts(pictures)
     near = optics.between(optics.best)[0]

@@ -30,7 +30,7 @@ class Evidence:
     """Grounds on which a fit is judged; each is left out where a fit has none of it."""
 
     force: tuple[Array, Array, Array | float] | None = None  # fitted, measured (n,) [N]; factors on expected errors
-    pictures: tuple[float, float] | None = None  # share of their change that dents explain, and a drift without any
+    pictures: tuple[float, float] | None = None  # shares of their change explained by dents, and by a drift alone
     unseen: str = ""  # why the fit is no better than its start on measurements that it has not seen
 
 
@@ -89,7 +89,7 @@ def off(fitted: Array, measured: Array) -> Array:
 
 
 def no_dents(dents: float, drift: float) -> str:
-    """Why pictures show no presses, from the shares of their change that dents explain, and a drift; empty if so."""
+    """Why pictures show no presses, from the shares of their change explained by dents and by a drift; or ""."""
     if 1 - dents < CLEAR * (1 - drift):
         return ""
     return (f"dents explain {100 * dents:.0f} % of the pictures' change, and light that drifts {100 * drift:.0f} %: see"

@@ -48,7 +48,7 @@ class PressPicture:
     change: Array  # with mean 0
     ball: float  # radius [mm]
     recording: int
-    smooth: float  # part of the sum of squares of `change` [counts^2] that light explains which drifts smoothly
+    smooth: float  # part of the sum of squares of `change` [counts^2] explained by smoothly drifting light
 
     @property
     def loud(self) -> float:

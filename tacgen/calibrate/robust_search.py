@@ -52,7 +52,7 @@ def held(u: Array, lights: Array, ridge: Ridge) -> float:
 def search(
     tables: Tables, lights: Array, bounds: tuple[Array, Array], ridge: Ridge, soft: float
 ) -> tuple[Array, Array]:
-    """Parameters u (parameters,) within bounds, and radiances (m,) from 0, of the least loss near the tables' place.
+    """Parameters u (parameters,) within bounds, and radiances (m,) >= 0 that minimise the loss of the linear tables.
 
     Args:
         lights: radiances to start from (m,).

@@ -211,8 +211,8 @@ def settles(
     """Whether a step ends Newton's method: its contact converged and the residual [-] is small, or the last step was
     (`still`) and the residual is half of what a frame may have.
 
-    The same is enough where contact goes in circles and its mean gap agrees (`rests`): a point then goes to and fro
-    over an edge of the indenter, on which it cannot rest, and a shorter load step meets the same edge.
+    The same is enough where contact goes in circles and its mean gap agrees (`rests`). A point then alternates
+    between the two sides of an edge of the indenter, and a shorter load step would meet the same edge.
 
     After `folding` steps in a fold (see in_folds) the residual may be as large as the error that folds have anyway; a
     step that needs no damping is about to converge.

@@ -44,7 +44,7 @@ class Condensation:
         self._free = np.zeros((whole.nodes, 3), bool)
         self._free.ravel()[whole.free] = True
         self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed nodes; their numbers
-        self._factored = 0  # number of factorisations, but for those in _rest
+        self._factored = 0  # number of factorisations, except those in _rest
         self._rest: _AtRest | None = None
         self.usable = False
 
@@ -195,7 +195,7 @@ def _mirror(A: Array) -> None:
 class _AtRest:
     """The Schur complement at rest, computed when first needed, with a factor of its own as the other stays in use.
 
-    It knows no Condensation: whose Schur complements refer to it, and a cycle would keep them after the scene.
+    It holds no Condensation, which refers to it: a cycle of references would keep both in memory after the scene.
     """
 
     def __init__(

@@ -16,11 +16,11 @@ class Failure(StrEnum):
     newton = f"Newton did not converge in {{steps}} steps; {LESS}"
     squeezed = f"Newton did not converge in {{steps}} steps, the gel squeezed to {{least_J:.1%}} of its volume; {LESS}"
     minimiser = f"Newton {{status}} after {{steps}} steps; {LESS}"
-    # the budget is spent, and shorter load steps would take more
+    # the budget of Newton steps is spent; shorter load steps would need more
     effort = f"Newton did not converge in {{steps}} steps, shorter load steps included; {LESS}"
-    # the indenter might tunnel through the gel: a shorter load step may do
+    # the indenter might tunnel through the gel; a shorter load step may converge
     too_far = "the gel cannot follow the indenter that far at once"
-    # in a fold it passed through: it would from a shorter load step, too
+    # the gel tunnelled while it folded; a shorter load step would fail in the same way
     snaps = f"the gel folds, and snaps past a thin part of the indenter; {LESS}"
     unbalanced = (
         "residual {residual:.1e} and balance {balance:.1e} of the contact force, smallest gap {least_gap:.1e} mm"

@@ -29,7 +29,7 @@ RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 
 @dataclass
 class Task:
-    """A solve that a path needs: its problem, and its record, for which whoever solves it puts that at its end."""
+    """A solve that a path needs: its problem and its record, which the caller replaces by the solved record."""
 
     problem: Problem
     now: SolveState
@@ -97,7 +97,7 @@ def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None,
     effort: int = 0,
 ) -> Generator[Task, None, SolveState]:  # fmt: skip
-    """From pose `last` to `pose`, counting Newton steps from `effort`; at once from a solution nearby if that does."""
+    """From pose `last` to `pose`, counting Newton steps from `effort`; first in one step from a nearby solution."""
     if near is not None and near.substeps == 1:
         task = Task(problem, at_once(history, pose, index, duration, near=near, effort=effort))
         yield task
@@ -129,8 +129,8 @@ def states(scene: Scene, problem: Problem) -> Iterator[State]:
 
 
 def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
-    """The solves of a scene, each of which must be done before the next one is asked for, and the states of its frames,
-    each behind its solves. Raises NotConverged: a frame has no solution."""
+    """The solves of a scene and the states of its frames: each state follows its solves. A solve must be done before
+    the next item is requested. Raises NotConverged: a frame has no solution."""
     history, last = problem.rest(Pose.of(scene.start)), scene.start
     forced, shift, before, start_force = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses[: forced.end if forced else None]):

@@ -256,7 +256,7 @@ class Frame:
             else:
                 A[:, -1] = 0.0
             step = np.linalg.lstsq(A, -r, rcond=UNRESISTED)[0]
-            if not step.any():  # no contact, no tangent: it would stay as it is
+            if not step.any():  # without contact the tangent is zero, and the pose would not change
                 if lowest < math.inf and not bounded and self.unborne(at) > 0:
                     return None
                 raise NotConverged(Failure.grasp_loose, width=at.width, opening=self.grasp.opening)

@@ -28,7 +28,7 @@ def known(part: T | None) -> T:
 
 class Leg(NamedTuple):
     """A load step to do, from pose a to pose b (4, 4), rotating by `turn` (3,) [rad] in `duration` [s]; how often it
-    was halved, and because it was too far; `budget`: whether the count of Newton steps begins anew with it."""
+    was halved, and how often because it was too far; `budget`: whether it starts a new count of Newton steps."""
 
     a: Array
     b: Array

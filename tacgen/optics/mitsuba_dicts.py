@@ -39,11 +39,11 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
 
 
 def absorbing(bsdf: dict[str, Any]) -> dict[str, Any]:
-    """A Lambertian surface (see diffuse) at which the absorbed share of the paths ends, instead of all going on with
-    less light; other BSDFs as they are. The mean is the same, and none of the long paths hardly carries light.
+    """A Lambertian surface (see diffuse) that ends the absorbed share of the paths, and lets the others continue with
+    undiminished light; other BSDFs are returned unchanged. The mean is the same; no time goes into long, dim paths.
 
-    What ends a path is an interface between equal media, which reflects nothing, and here transmits nothing. A lobe
-    that reflects would add light: Mitsuba weights each direction by all lobes that lead there.
+    Paths end at an interface between equal media, which reflects nothing and is set to transmit nothing. A lobe that
+    reflects would add light: Mitsuba weights each direction by all lobes that lead there.
     """
     if bsdf["type"] != "diffuse" or not (most := max(bsdf["reflectance"]["value"])):
         return bsdf

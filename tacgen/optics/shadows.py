@@ -32,7 +32,7 @@ class Terrain(NamedTuple):
 
     @classmethod
     def of(cls, heights: Floats, size: tuple[float, float], before: Floats | None = None) -> "Terrain":
-        """That of a face; with its heights `before`, only places that have receded since then cast shadows."""
+        """The terrain of a face; with its heights `before`, only places that have receded since then cast shadows."""
         blocked = heights if before is None else np.where(heights < before - DENTED, heights, np.inf)
         small, large = (lowest(blocked, cells) for cells in (SMALL, LARGE))
         return cls(heights, small, large, size, float(large.min()), bounds(small))

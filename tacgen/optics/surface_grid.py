@@ -61,7 +61,7 @@ class Sheet:
 
     pad: "Pad"
     shape: tuple[int, int]  # rows, columns of nodes over the pad
-    whole: bool = True  # there is gel on all of that; else only where a surface says so, as on a solid of any outline
+    whole: bool = True  # gel covers the whole pad; otherwise the surface tells where it is, as on a solid
     box: tuple[float, ...] = EVERYWHERE  # x0, x1, y0, y1 [mm]: only the nodes in there
 
     @classmethod

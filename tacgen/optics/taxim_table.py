@@ -194,14 +194,14 @@ def _look_up(terms: "Floats", slope: "Floats", basis: "Floats", dark: "Floats") 
 
 @njit(cache=False)
 def _between(at: float, last: int) -> tuple[int, float]:
-    """The place before `at` among 0, 1, ... last, and the share of the one behind it; constant beyond the ends."""
+    """The index below `at` among 0, 1, ... last, and the weight of the index above it; constant beyond the ends."""
     at = min(max(at, 0.0), last - 1e-9)
     return int(at), at - int(at)
 
 
 @njit(cache=True)
 def shadows(height: "Floats", lamps: "Floats", mm_per_px: float) -> "Floats":
-    """How much (h, w, lamps), 0 to 1, of each lamp is hidden from each pixel: one way to its nearest point is tried.
+    """How much (h, w, lamps), 0 to 1, of each lamp is hidden from each pixel, by the line to its nearest point.
 
     Args:
         height: of the face [mm], (h, w).
