@@ -14,6 +14,8 @@
 import os
 from typing import TYPE_CHECKING, Any
 
+from tacgen.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from tacgen.api.frames import Frames as Frames
     from tacgen.api.frames import SceneRejected as SceneRejected
@@ -57,8 +59,6 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import Dome as Dome
     from tacgen.sensor.model import Gel as Gel
     from tacgen.sensor.model import Sensor as Sensor
-
-__version__ = "0.1.0"
 
 # The public names by the module that holds them; a module is imported when one of its names is first asked for.
 _HOMES = {

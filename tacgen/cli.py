@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from tacgen import __version__
 from tacgen.cli_calibrate import calibrations
 from tacgen.cli_common import (
     AsJson,
@@ -32,6 +31,7 @@ from tacgen.cli_sensor import sensors
 from tacgen.errors import UserError
 from tacgen.report.sheet import counted
 from tacgen.terminal import say
+from tacgen.version import __version__
 
 __all__ = ["app"]
 

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from tacgen import compiled
+from tacgen import compiled, mechanics
 
-PACKAGE = Path(compiled.__file__).parent
+PACKAGE = Path(mechanics.__file__).parents[1]
 USE = """
 import numpy as np
 from tacgen import compiled
@@ -24,12 +24,16 @@ from tacgen.optics import probe
 print(probe.twice(2.0), compiled.seconds() > 0)
 """
 
+NEEDED = ("__init__", "version", "compiled", "array_cache", "atomic_file", "regular_file", "errors")
+
 
 def copied(folder: Path, factor: str) -> Path:
     """A package of the module under test, and of one compiled function that calls another file's."""
     (folder / "tacgen" / "optics").mkdir(parents=True, exist_ok=True)
-    for name in ("__init__.py", "compiled.py", "array_cache.py", "atomic_file.py", "regular_file.py", "errors.py"):
-        shutil.copy(PACKAGE / name, folder / "tacgen" / name)
+    for name in NEEDED:
+        to = folder / f"tacgen/{name}.py"
+        to.parent.mkdir(exist_ok=True)
+        shutil.copy(PACKAGE / f"{name}.py", to)
     head = "from tacgen.compiled import njit\n"
     (folder / "tacgen/optics/__init__.py").write_text("")
     called = f"@njit(cache=False)\ndef scaled(x):\n    return {factor} * x\n"

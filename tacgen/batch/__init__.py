@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tacgen import __version__, atomic_file
+from tacgen import atomic_file
 from tacgen.batch import cuda_engine, dask_engine
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
@@ -19,6 +19,7 @@ from tacgen.bundle.journal import Journal, Shard
 from tacgen.bundle.resume import SceneResult, existing
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Plan
+from tacgen.version import __version__
 
 __all__ = ["ENGINES", "Limits", "run"]
 

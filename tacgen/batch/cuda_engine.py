@@ -21,7 +21,6 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tacgen import __version__
 from tacgen.batch import process_pool, solution_file
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
@@ -32,6 +31,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.outputs import IMAGES
 from tacgen.recipe.row import Row
+from tacgen.version import __version__
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.engine import Solved

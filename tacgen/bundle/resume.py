@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tacgen import __version__, atomic_file
+from tacgen import atomic_file
 from tacgen.bundle import bundle, dataset
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.errors import UserError
 from tacgen.recipe.row import Row
+from tacgen.version import __version__
 
 SHOWN = 3  # differing inputs that a message names
 
