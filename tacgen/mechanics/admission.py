@@ -1,7 +1,6 @@
 """The checks that a load step must pass before it is recorded: nothing penetrates or inverts, and forces balance."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,13 +8,11 @@ from tacgen.fem.jacobian import least_jacobian
 from tacgen.fem.potential import Total
 from tacgen.mechanics.coupled import dragged, slip
 from tacgen.mechanics.failures import Failure
+from tacgen.mechanics.load_step import Found, LoadStep
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import Found, SolveState, known
+from tacgen.mechanics.solve_state import SolveState, known
 from tacgen.mechanics.state import History, State, joined
-
-if TYPE_CHECKING:
-    from tacgen.mechanics.load_step import LoadStep
 
 Array = np.ndarray
 STIFFENINGS = 8  # most solves, with stiffer barriers each time, until nothing penetrates or inverts
@@ -49,7 +46,7 @@ def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     return Outcome.more if now.legs else Outcome.ended, now
 
 
-def imbalance(step: "LoadStep", solution: Found) -> tuple[float, float]:
+def imbalance(step: LoadStep, solution: Found) -> tuple[float, float]:
     """Residual on the free dofs and |indenter + inertia + base|, both over the contact force [-]."""
     x, free = solution.x, step.problem.pattern.free
     outer = solution.contact.contact.faces.scatter(-solution.forces.force, len(x))
@@ -64,7 +61,7 @@ def imbalance(step: "LoadStep", solution: Found) -> tuple[float, float]:
 
 
 def _record(
-    step: "LoadStep", solution: Found, now: SolveState, quality: tuple[float, float, float]
+    step: LoadStep, solution: Found, now: SolveState, quality: tuple[float, float, float]
 ) -> tuple[History, State]:
     coupled, contact, forces, history = solution.contact, solution.contact.contact, solution.forces, step.history
     friction = sliding = None

@@ -37,11 +37,12 @@ from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.failures import Failure, no_equilibrium
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
+from tacgen.mechanics.load_step import Found
 from tacgen.mechanics.load_stepping import may_damp
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import BulkIterate, Found, Linearised, SolveState, Stepped, known
+from tacgen.mechanics.solve_state import BulkIterate, Linearised, SolveState, Stepped, known
 from tacgen.mechanics.state import History, State
 
 Array = np.ndarray

@@ -1,7 +1,4 @@
-"""One load step: contact and bulk at its pose, the prediction and the start of Newton's method.
-
-Each function that takes a SolveState is one kernel of the method (see phases).
-"""
+"""One load step: contact and bulk at its pose, the prediction, the start of Newton's method, and what it found."""
 
 from dataclasses import dataclass, replace
 
@@ -12,21 +9,39 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import full_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk
-from tacgen.mechanics.bulk_newton import begun, with_neighbours
-from tacgen.mechanics.coupled import CoupledContact, onset
+from tacgen.mechanics.coupled import ContactForces, CoupledContact, onset
 from tacgen.mechanics.failures import Failure, NotConverged, no_equilibrium
-from tacgen.mechanics.linear_solvers import NotPositiveDefinite
-from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import Found, SolveState, known
 from tacgen.mechanics.state import History
 from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside
 
 Array = np.ndarray
-Result = tuple[Outcome, SolveState]
 INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
+    steps, and the positions (n, 3) after each of them from the first that needed damping on."""
+
+    x: Array
+    contact: CoupledContact
+    forces: ContactForces
+    least_gap: float
+    steps: int
+    path: tuple[Array, ...] = ()
+
+    @classmethod
+    def coupled(cls, x: Array, contact: CoupledContact, steps: int, path: tuple[Array, ...] = ()) -> "Found":
+        forces = contact.evaluate(x)
+        return cls(x, contact, forces, float(forces.gap.min()), steps, path)
+
+    @property
+    def damped(self) -> int:
+        """Newton steps in a fold: those from the first that needed damping on."""
+        return len(self.path)
 
 
 @dataclass(frozen=True)
@@ -83,7 +98,8 @@ class LoadStep:
 
     def solve(self, x: Array) -> Found | NotConverged:
         """By Newton's method on all unknowns from x (n, 3)."""
-        solution = full_newton.solve(self.problem, self.bulk, known(self.coupled), x)
+        assert self.coupled is not None
+        solution = full_newton.solve(self.problem, self.bulk, self.coupled, x)
         if not solution.converged:
             return no_equilibrium(self.bulk.at(solution.x).J, solution.steps)
         return Found.coupled(solution.x, solution.contact, solution.steps)
@@ -105,67 +121,3 @@ class LoadStep:
         if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
             return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
         return None
-
-
-def begin(problem: Problem, now: SolveState) -> Result:
-    """Contact and bulk at the pose of the next load step, and whether the kept tangent serves its prediction."""
-    leg = now.legs[0]
-    pose, effort = Pose.of(leg.b), 0 if leg.budget else now.effort
-    now = replace(now, effort=effort, failure=None)
-    step = LoadStep.of(problem, now.history, pose, leg.duration)
-    now = replace(now, step=step)
-    if not problem.condensed:
-        return Outcome.not_condensed, now
-    history, tangent, contact = now.history, problem.tangent, step.contact
-    conn, near = contact.faces.conn, contact.gap(contact.faces.at(history.x)) < contact.dhat
-    touching = np.asarray((near | (history.normal_force > 0)).any(1))
-    if not touching.any():
-        return Outcome.apart, now
-    covered = tangent.usable and tangent.condensation.covers(conn[touching])
-    if not covered:
-        tangent.condensation.cover(with_neighbours(conn, touching))
-    exact = not tangent.followed or tangent.exact_at is history.x
-    return Outcome.ready if covered and exact else Outcome.missing, now
-
-
-def renew(problem: Problem, now: SolveState) -> Result:
-    """The tangent at the last equilibrium, which also serves the first step: at a first guess the tangent is often
-    indefinite, because of the guess's pressures."""
-    assert now.step is not None
-    try:
-        problem.tangent.take(now.step.bulk.at(now.history.x), None)
-    except NotPositiveDefinite:
-        return Outcome.indefinite, now
-    return Outcome.ready, now
-
-
-def foresee(problem: Problem, now: SolveState) -> Result:
-    """The prediction, if the options ask for it."""
-    assert now.step is not None
-    if not problem.options.predict:
-        return Outcome.ready, now
-    return Outcome.ready, replace(now, step=now.step.predicted(Pose.of(now.legs[0].b)))
-
-
-def start(problem: Problem, now: SolveState) -> Result:
-    """Newton's method at its start: what a softer barrier found, or see LoadStep.start."""
-    step = now.step
-    assert step is not None
-    x = now.found.x if now.found else step.start(None if now.near is None else now.near.x)
-    if x is None:
-        return Outcome.failure, now.failed(Failure.too_far)
-    if step.coupled is None:
-        step = step.anchored()
-    now = replace(now, step=step, begins=x)
-    if not problem.condensed:
-        return Outcome.not_condensed, now
-    return Outcome.ready, replace(now, newton=begun(problem, step.bulk, now.history, known(step.coupled), x))
-
-
-def whole(problem: Problem, now: SolveState) -> Result:
-    """Newton's method on all unknowns."""
-    assert now.step is not None
-    found = now.step.solve(known(now.begins))
-    if isinstance(found, NotConverged):
-        return Outcome.failure, replace(now, failure=found)
-    return Outcome.ended, replace(now, found=found)

@@ -1,19 +1,17 @@
 """A frame in solution as one record: what is solved, what is left to do, and the iterates of the present load step."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from tacgen.mechanics.bulk import BulkPoint
 from tacgen.mechanics.contact_newton import ContactIterate, Quadratic, QuadraticPoint
-from tacgen.mechanics.coupled import ContactForces, CoupledContact
+from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.failures import Failure, NotConverged
+from tacgen.mechanics.load_step import Found, LoadStep
 from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.state import History, State
-
-if TYPE_CHECKING:
-    from tacgen.mechanics.load_step import LoadStep
 
 Array = np.ndarray
 T = TypeVar("T")
@@ -86,29 +84,6 @@ class BulkIterate:
 
 
 @dataclass(frozen=True)
-class Found:
-    """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
-    steps, and the positions (n, 3) after each of them from the first that needed damping on."""
-
-    x: Array
-    contact: CoupledContact
-    forces: ContactForces
-    least_gap: float
-    steps: int
-    path: tuple[Array, ...] = ()
-
-    @classmethod
-    def coupled(cls, x: Array, contact: CoupledContact, steps: int, path: tuple[Array, ...] = ()) -> "Found":
-        forces = contact.evaluate(x)
-        return cls(x, contact, forces, float(forces.gap.min()), steps, path)
-
-    @property
-    def damped(self) -> int:
-        """Newton steps in a fold: those from the first that needed damping on."""
-        return len(self.path)
-
-
-@dataclass(frozen=True)
 class SolveState:
     """All that a solve knows between two kernels, but for the factor of the problem's kept tangent.
 
@@ -127,7 +102,7 @@ class SolveState:
     effort: int = 0
     phase: Phase = Phase.begin
     state: State | None = None
-    step: "LoadStep | None" = None
+    step: LoadStep | None = None
     begins: Array | None = None
     newton: BulkIterate | None = None
     found: Found | None = None

@@ -3,16 +3,16 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from tacgen.mechanics import admission, bulk_newton, load_step, load_stepping
+from tacgen.mechanics import admission, bulk_newton, load_step_phases, load_stepping
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import SolveState
 
 KERNELS: dict[Phase, Callable[[Problem, SolveState], tuple[Outcome, SolveState]]] = {
-    Phase.begin: load_step.begin,
-    Phase.renew: load_step.renew,
-    Phase.predict: load_step.foresee,
-    Phase.start: load_step.start,
+    Phase.begin: load_step_phases.begin,
+    Phase.renew: load_step_phases.renew,
+    Phase.predict: load_step_phases.foresee,
+    Phase.start: load_step_phases.start,
     Phase.step: bulk_newton.begin_step,
     Phase.factor: bulk_newton.factor,
     Phase.load: bulk_newton.load,
@@ -20,7 +20,7 @@ KERNELS: dict[Phase, Callable[[Problem, SolveState], tuple[Outcome, SolveState]]
     Phase.damp: bulk_newton.damp,
     Phase.search: bulk_newton.search,
     Phase.measure: bulk_newton.measure,
-    Phase.whole: load_step.whole,
+    Phase.whole: load_step_phases.whole,
     Phase.admit: admission.admit,
     Phase.halve: load_stepping.halve,
 }
