@@ -12,7 +12,7 @@ from benchmarks.results_page import Cell, Table, columns
 from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh, presolve
-from tacgen.mechanics.expected_error import FACTOR, FaceGrid
+from tacgen.mechanics.expected_error import FACTOR, frame_error
 from tacgen.recipe import scene_of_row
 
 EDGE_MM, DHAT_MM, LIMIT_S = 0.6, 0.05, 240.0  # of `draft`; longest processor time of a scene on the finer mesh [s]
@@ -44,7 +44,7 @@ def compared(draw: Draw) -> Compared:
         return Compared(draw.shape, np.nan, np.nan)
     force, finer = forces_of(found), forces_of(unique)
     k = int(np.linalg.norm(finer, axis=1).argmax())
-    told = FaceGrid.of(scene.gel).error(scene.shape, scene.poses[k], scene.edge)
+    told = frame_error(scene.gel, scene.shape, scene.poses[k], scene.edge)
     return Compared(draw.shape, float(np.linalg.norm(force[k] - finer[k]) / np.linalg.norm(finer[k])), told)
 
 

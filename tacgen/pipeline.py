@@ -19,7 +19,7 @@ from tacgen.bundle.schema import as_stored, finite_problem
 from tacgen.geometry.first_touch import closest
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.cost_note import cost_note
-from tacgen.mechanics.expected_error import Expected, FaceGrid
+from tacgen.mechanics.expected_error import Expected, frame_error
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS, PLACES, WITH_MAPS
@@ -249,7 +249,6 @@ class Recorder:
         self.before: mechanics.State | None = None
         with clock.stage("fields"):
             self.shared = _shared(row, self.scene, problem, solution.states if solution else (), device)
-            self.face = None if self.scene.element == "linear_tet" else FaceGrid.of(self.scene.gel)
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
         images = {k: made.pop(k) for k in NAMES if k in IMAGES & made.keys()}
         with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first
@@ -298,7 +297,8 @@ class Recorder:
             self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
             self.poses.append(state.pose)
             frame["/frames/segment"] = self.scene.segment[state.index]
-            error = self.face.error(self.scene.shape, state.pose, self.scene.edge) if self.face else math.nan
+            scene, known = self.scene, self.scene.element != "linear_tet"
+            error = frame_error(scene.gel, scene.shape, state.pose, scene.edge) if known else math.nan
             frame["/frames/quality/expected_force_error"] = error
             if self.scene.duration is not None:
                 frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from tacgen.mechanics.face_overlap import Overlap, overlaps
+
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
     from tacgen.geometry.gel import GelBody
-    from tacgen.mechanics.expected_error import Overlap
     from tacgen.mechanics.failures import NotConverged
 
 Array = np.ndarray
@@ -82,8 +83,6 @@ class Scene:
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
 
     @cached_property
-    def overlaps(self) -> "list[tuple[Overlap, Array]]":
+    def overlaps(self) -> list[tuple[Overlap, Array]]:
         """How the indenter overlaps the untouched face in some of the frames, the last among them, and their poses."""
-        from tacgen.mechanics.expected_error import overlaps
-
         return overlaps(self.gel, self.shape, self.poses)

@@ -11,7 +11,8 @@ import tacgen
 from tacgen import cli
 from tacgen.bundle.bundle import read
 from tacgen.bundle.force_error import BY_INPUTS, BY_MESH, force_error
-from tacgen.mechanics.expected_error import Overlap, expected_force_error
+from tacgen.mechanics.expected_error import expected_force_error
+from tacgen.mechanics.face_overlap import Overlap
 
 
 @pytest.fixture(scope="module")

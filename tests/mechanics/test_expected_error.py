@@ -12,7 +12,8 @@ from tacgen.geometry.analytic_sdf import CapsuleSdf, ConeSdf, Shape, SphereSdf, 
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.outline import Pad
 from tacgen.geometry.pose import Pose, about
-from tacgen.mechanics.expected_error import FACTOR, FEW, LARGEST, Expected, FaceGrid, Overlap, expected_force_error
+from tacgen.mechanics.expected_error import FACTOR, LARGEST, Expected, expected_force_error, frame_error
+from tacgen.mechanics.face_overlap import FEW, FaceGrid, Overlap
 
 PAD = Pad(25.0, 20.0)
 
@@ -67,7 +68,7 @@ def test_a_contact_narrower_than_the_grid_is_measured(radius: float) -> None:
 
 def test_without_contact_it_is_not_known() -> None:
     assert FaceGrid.of(PAD).overlap(SphereSdf(4), lowered(-0.1)) == (0, 0)
-    assert math.isnan(FaceGrid.of(PAD).error(SphereSdf(4), lowered(-0.1), 0.36))
+    assert math.isnan(frame_error(PAD, SphereSdf(4), lowered(-0.1), 0.36))
 
 
 def test_of_smooth_shapes_it_falls_with_the_edge_and_with_the_width() -> None:
