@@ -12,7 +12,7 @@ from benchmarks.results_page import ROOT
 from tacgen.calibrate import contact_circle
 from tacgen.calibrate.likeness import PictureOfPress
 from tacgen.calibrate.photos import PhotographedPress
-from tacgen.recipe.background_photo import read
+from tacgen.render.photograph import read
 
 Array = np.ndarray
 SENSORS = ("gelsight_mini", "digit", "ninedtact")  # whose shipped files are compared with photographs

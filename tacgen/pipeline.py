@@ -167,9 +167,10 @@ def _shared(
     """A scene as its outputs need it, with the choices of its recipe."""
 
     def pictures(untouched: "GelSurface") -> "Pictures":
+        from tacgen.recipe import pictures_of_row
         from tacgen.render.pictures import Pictures
 
-        return Pictures(row, untouched, device)
+        return Pictures(pictures_of_row.settings(row), untouched, device)
 
     recipe, unsure = row.recipe, row.recipe.uncertainty
     return SceneData(

@@ -27,7 +27,7 @@ from tacgen.mechanics.condensation import Condensation
 from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
-from tacgen.recipe.row import NOISE
+from tacgen.sensor.imperfections import NOISE
 from tacgen.stage_clock import Clock
 
 ROOT = Path(__file__).parent.parent

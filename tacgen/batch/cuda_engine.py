@@ -231,10 +231,11 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEv
 def prepare(row: Row) -> None:
     """Make ready in this process for pictures like a row's, which takes seconds, while other processes solve it."""
     from tacgen import pipeline  # noqa: F401  # with all that a scene needs
+    from tacgen.recipe import pictures_of_row
     from tacgen.render import pictures
 
     if (device := _drawing_device(row)) is not None:
-        pictures.prepare(row, device)
+        pictures.prepare(pictures_of_row.settings(row), device)
 
 
 def _drawing_device(row: Row) -> str | None:

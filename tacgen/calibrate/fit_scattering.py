@@ -24,8 +24,7 @@ from tacgen.optics import camera_response, scattering
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
-from tacgen.recipe import background_photo
-from tacgen.render import images, traced_maps
+from tacgen.render import images, photograph, traced_maps
 from tacgen.sensor.model import Camera as Eye
 from tacgen.sensor.model import LitSensor, ThicknessResponse
 from tacgen.sensor.yaml_source import KeyPath
@@ -256,5 +255,5 @@ def _at_scale(sensor: LitSensor, maps: Array, untouched: Array) -> tuple[Array, 
     """Maps (n, h, w, 3) as the camera exposes them, and the linear photograph (H, W, 3) in their size."""
     h, w = maps.shape[1:3]
     camera = traced_maps.zoomed(sensor, w).camera
-    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
+    wanted = photograph.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
     return np.array([camera_response.expose(one, camera) for one in maps]), wanted

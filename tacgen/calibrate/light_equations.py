@@ -24,8 +24,7 @@ from tacgen.optics.housing import bottom_depth, frame
 from tacgen.optics.interreflection import Glow, Radiosity
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
-from tacgen.recipe import background_photo
-from tacgen.render import traced_maps
+from tacgen.render import photograph, traced_maps
 from tacgen.sensor import optics_checks
 from tacgen.sensor.model import Camera, Led, LitSensor
 
@@ -132,7 +131,7 @@ class Trials:
     def _picture(self, name: str, picture: Array, counts: Array, face: Surface) -> Picture:
         eye = self.sensor.camera
         light = camera_response.linear(picture / 255.0, eye)
-        light = background_photo.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
+        light = photograph.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
         counts = counts & (light < BRIGHT).all(axis=1)
         return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen import csv_table
 from tacgen.errors import UserError
-from tacgen.recipe import background_photo
+from tacgen.render import photograph
 from tacgen.sensor.model import Camera
 
 Array = np.ndarray
@@ -113,7 +113,7 @@ def _untouched(folder: Path) -> Path | None:
 def read_picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
     """A picture (H, W, 3) of the camera's size, 8 bit; problems are added to `wrong`."""
     try:
-        picture = background_photo.read(path)
+        picture = photograph.read(path)
     except UserError as error:
         wrong += error.lines
         return np.zeros(0)

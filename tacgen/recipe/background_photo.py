@@ -1,24 +1,16 @@
-"""A photograph of an untouched real sensor as the background of rendered images; reads pictures with Pillow."""
+"""A photograph of an untouched real sensor as the background of rendered images."""
 
-import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from tacgen import regular_file
-from tacgen.errors import UserError, why
+from tacgen.errors import UserError
 from tacgen.outputs import IMAGES
 from tacgen.recipe import assets
 from tacgen.recipe.model import Recipe
+from tacgen.render import photograph
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.validation_messages import Issue
 from tacgen.sensor.yaml_source import KeyPath
 
-if TYPE_CHECKING:
-    import numpy as np
-
-LARGEST = 200_000_000  # largest file [bytes]
-MOST_PIXELS = 50_000_000
-FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # some of Pillow's other readers start programs
 WHERE: KeyPath = ("render", "background")
 
 
@@ -33,7 +25,7 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Issue]
     path = assets.beside(name, folder)
     try:
         sha256 = assets.sha256(path)
-        height, width = read(path).shape[:2]
+        height, width = photograph.read(path).shape[:2]
     except UserError as error:
         return [Issue(WHERE, error.lines[0])]
     if expected not in (None, sha256):
@@ -42,41 +34,3 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Issue]
         pictures = f"{camera.width_px} x {camera.height_px}"
         return [Issue(WHERE, f"is {width} x {height}, and the camera's pictures are {pictures}: crop and resize it")]
     return []
-
-
-def read(path: Path) -> "np.ndarray":
-    """The picture (H, W, 3), 8 bit. Raises UserError: it cannot be read, or has more than MOST_PIXELS."""
-    import io
-
-    import numpy as np
-    from PIL import Image
-
-    try:
-        content = regular_file.read_bytes(path, LARGEST)
-    except FileNotFoundError:
-        raise UserError(f"{path}: cannot be read: no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {why(error)}") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about the size, which is checked below
-            with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
-                if picture.width * picture.height > MOST_PIXELS:
-                    size = f"{picture.width} x {picture.height}"
-                    raise UserError(
-                        f"{path}: is {size} pixels, at most {MOST_PIXELS / 1e6:.0f} million can be read: scale it down"
-                    )
-                return np.asarray(picture.convert("RGB"))
-    except UserError:
-        raise
-    except Exception as error:  # Pillow's readers raise many types of errors for a damaged file
-        raise UserError(f"{path}: is no picture that can be read: save it as PNG or JPEG") from error
-
-
-def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":
-    """A picture of linear light (H, W, 3) averaged over larger pixels (height, width, 3)."""
-    import numpy as np
-    from PIL import Image
-
-    channels = [Image.fromarray(c) for c in np.moveaxis(light.astype(np.float32), -1, 0)]
-    return np.stack([np.asarray(c.resize((width, height), Image.Resampling.BOX), dtype=float) for c in channels], -1)

@@ -13,12 +13,11 @@ from tacgen.recipe.loading import SOLID
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory_checks import Folders, replayed
+from tacgen.sensor.imperfections import NOISE
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import KeyPath
 
 FORMAT = 1  # of the bundles that keys stand for
-NOISE = 2  # purpose of these random numbers; a new purpose gets a new number, and sampling has 1
-DRIFT = 3  # as NOISE
 
 
 @dataclass(frozen=True)

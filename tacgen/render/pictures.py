@@ -4,20 +4,17 @@ A frame's pictures are a shot. With a GPU the first one that is asked for is dra
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
 from tacgen.optics import camera_response
 from tacgen.optics.surface_grid import Surface, Untouched
-from tacgen.outputs import IMAGES
-from tacgen.recipe import background_photo
-from tacgen.recipe.row import DRIFT, NOISE, Row
-from tacgen.render import tensor_drawing
+from tacgen.render import photograph, tensor_drawing
 from tacgen.render.images import Method, Renderer
-from tacgen.sensor.imperfections import Drift
+from tacgen.sensor.imperfections import DRIFT, NOISE, Drift
 from tacgen.sensor.model import Camera, LitSensor
 
 Array = np.ndarray
@@ -26,6 +23,20 @@ WAVES = 64  # of which a drift is the sum: its distribution is normal to within 
 
 
 _Drawn = tuple[Array | None, Array | None]  # a frame's radiance and 8-bit picture, each where it is needed
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """How a scene's pictures are made: the renderer's method and samples a pixel, the scene's seed, whether they have
+    the camera's noise, the photograph behind them, and the outputs that are asked for."""
+
+    sensor: LitSensor
+    method: Method
+    spp: int
+    seed: int
+    noise: bool
+    photo: Path | None
+    asked: frozenset[str]
 
 
 class Backdrop:
@@ -37,7 +48,7 @@ class Backdrop:
 
     def __init__(self, path: Path, flat: Array, camera: Camera) -> None:
         """`flat` (H, W, 3) is the radiance rendered untouched."""
-        light = camera_response.linear(background_photo.read(path) / 255.0, camera)
+        light = camera_response.linear(photograph.read(path) / 255.0, camera)
         rendered = camera_response.expose(flat, camera)
         lit = rendered > 0
         self._camera = camera
@@ -60,23 +71,22 @@ def _rendering(
 
 
 class Pictures:
-    """One scene's camera, with its recipe's renderer, photograph and noise."""
+    """One scene's camera, with its renderer, photograph and noise."""
 
-    def __init__(self, row: Row, untouched: Surface, device: str | None = None) -> None:
+    def __init__(self, settings: PictureSettings, untouched: Surface, device: str | None = None) -> None:
         """`untouched` is the face at rest that the camera sees; `device`, PyTorch's, draws shots if it can draw what
         the renderer does. What it cannot for lack of memory the CPU draws, and `notes` say so."""
-        lit, render = cast(LitSensor, row.sensor), row.recipe.render  # recipe/optics_checks lets no other through
+        lit, method = settings.sensor, settings.method
         solid = untouched if lit.gel.solid is not None else None
-        spp, markers = row.recipe.resolved().spp, lit.markers is not None
-        own = render.method == "path"  # whose random numbers depend on the seed and count the images
+        own = method == "path"  # whose random numbers depend on the seed and count the images
         made = _rendering.__wrapped__ if own else _rendering
-        seed = row.seed if own else 0
-        self.renderer, flat = made(lit, spp, seed, markers, render.method, solid)  # type: ignore[arg-type]
+        seed = settings.seed if own else 0
+        self.renderer, flat = made(lit, settings.spp, seed, lit.markers is not None, method, solid)  # type: ignore[arg-type]
         self._device, self._drawn, self.notes = device, dict[int, _Drawn](), list[str]()
         self._by = ""  # name of the device, once it has drawn
-        self._row, self._photo = row, None
-        if row.photo_path is not None:
-            self._photo = Backdrop(row.photo_path, flat, lit.camera)
+        self._settings, self._photo = settings, None
+        if settings.photo is not None:
+            self._photo = Backdrop(settings.photo, flat, lit.camera)
         self.flat = self.over_photo(flat)
 
     @property
@@ -110,23 +120,23 @@ class Pictures:
 
     def _disturbed(self, frame: int) -> tuple[np.random.Generator | None, Array | None]:
         """The source of a frame's noise, if the recipe has noise, and the gain (3,) of its drift, if there is one."""
-        drift, seed = self.renderer.sensor.camera.drift, self._row.seed
+        drift, seed = self.renderer.sensor.camera.drift, self._settings.seed
         gain = None if drift is None else drifted(drift, seed, frame)
-        if not self._row.recipe.render.noise:
+        if not self._settings.noise:
             return None, gain
         return np.random.default_rng(np.random.SeedSequence((seed, frame, NOISE))), gain
 
     def _together(self, faces: Mapping[int, Surface], device: str) -> dict[int, "_Drawn"]:
         """Draw frames by their faces, all at once; nothing, from now on, where the device fails."""
         nodes = np.stack([self.renderer.sheet.at(face) for face in faces.values()])
-        asked = self._row.recipe.outputs
+        asked = self._settings.asked
         radiance: Sequence[Array | None] = [None] * len(faces)
         developed = radiance
         try:
             name = tensor_drawing.taken(device)
             drawing = tensor_drawing.drawing(self.renderer, device)
             light = drawing.radiance(nodes)
-            if self._photo is not None or asked & IMAGES - {"rgb"}:
+            if self._photo is not None or "radiance" in asked:
                 radiance = list(light.cpu().numpy())
             if self._photo is None and "rgb" in asked:
                 random, gains = zip(*map(self._disturbed, faces), strict=True)
@@ -140,15 +150,15 @@ class Pictures:
         return dict(zip(faces, zip(radiance, developed, strict=True), strict=True))
 
 
-def prepare(row: Row, device: str) -> None:
-    """Make ready in this process for pictures on a device of scenes like a row's, by drawing the untouched face."""
+def prepare(settings: PictureSettings, device: str) -> None:
+    """Make ready in this process for pictures on a device with these settings, by drawing the untouched face."""
     from threadpoolctl import threadpool_limits
 
-    if row.sensor.gel.solid is not None:  # its face at rest is that of its mesh
+    if settings.sensor.gel.solid is not None:  # its face at rest is that of its mesh
         return
     with threadpool_limits(1, user_api="blas"):  # as scenes do: the renderer is theirs
-        face = Untouched.of(row.sensor.gel)
-        Pictures(row, face, device).shot(0, face, lambda most: {})
+        face = Untouched.of(settings.sensor.gel)
+        Pictures(settings, face, device).shot(0, face, lambda most: {})
 
 
 class Shot:

@@ -7,6 +7,8 @@ from pydantic import Field
 
 from tacgen.sensor.base_model import NOWHERE, Fraction, Part, Positive, Vec2
 
+NOISE = 2  # purpose of random numbers of a scene; a new purpose gets a new number, and sampling has 1
+DRIFT = 3  # as NOISE
 Seed = Annotated[int, Field(ge=0, le=999_999)]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Contrast = Annotated[float, Field(ge=0, le=0.3)]

@@ -12,7 +12,8 @@ from PIL import Image
 
 from hostile import attempts
 from tacgen.geometry import mesh_file
-from tacgen.recipe import assets, background_photo, plan, pose_table
+from tacgen.recipe import assets, plan, pose_table
+from tacgen.render import photograph
 from tacgen.sensor import yaml_source
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -21,7 +22,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "ball.obj": mesh_file.read,
     "ball.ply": mesh_file.read,
     "poses.csv": pose_table.read,
-    "photo.png": background_photo.read,
+    "photo.png": photograph.read,
     "any": assets.sha256,
 }
 
@@ -70,7 +71,7 @@ def _obj() -> str:
 def test_a_picture_that_unpacks_to_gigabytes_is_refused_by_its_head(tmp_path: Path) -> None:
     Image.new("1", (13_000, 13_000)).save(tmp_path / "photo.png")
     assert (tmp_path / "photo.png").stat().st_size < 200_000
-    assert outcome(lambda: background_photo.read(tmp_path / "photo.png"), tmp_path) == "refused"
+    assert outcome(lambda: photograph.read(tmp_path / "photo.png"), tmp_path) == "refused"
 
 
 MESHES = {

@@ -1,6 +1,5 @@
 """What the scenes of one sensor share of their pictures."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,8 @@ class Told:
         return np.zeros((32, 40, 3), np.float32)
 
 
-def row(method: str, seed: int) -> Any:
-    recipe = SimpleNamespace(render=SimpleNamespace(method=method), resolved=lambda: SimpleNamespace(spp=16))
-    return SimpleNamespace(sensor=FILE, recipe=recipe, seed=seed, photo_path=None)
+def settings(method: Any, seed: int) -> pictures.PictureSettings:
+    return pictures.PictureSettings(FILE, method, 16, seed, True, None, frozenset({"rgb"}))
 
 
 @pytest.mark.parametrize(("method", "shared"), [("transport", True), ("table", True), ("path", False)])
@@ -35,7 +33,7 @@ def test_scenes_share_a_renderer_whose_pictures_do_not_depend_on_their_seed(
     monkeypatch.setattr(pictures, "Renderer", Told)
     pictures._rendering.cache_clear()
     face = Untouched.of(FILE.gel)
-    one, again, other = (pictures.Pictures(row(method, seed), face) for seed in (1, 1, 2))
+    one, again, other = (pictures.Pictures(settings(method, seed), face) for seed in (1, 1, 2))
     pictures._rendering.cache_clear()
     assert (one.renderer is again.renderer) is shared
     assert (one.renderer is other.renderer) is shared
