@@ -30,7 +30,7 @@ from tacgen.bundle.pack import pack
 from tacgen.bundle.splits import SPLITS, assigned
 from tacgen.errors import UserError
 from tacgen.export.feats import shares
-from tacgen.outputs.events import MODES
+from tacgen.outputs.contact_modes import MODES
 from tacgen.recipe import assets, loading
 from tacgen.report import dataset_summary, hub_card
 from tacgen.sensor.yaml_source import dumped, edited

@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.errors import printable
-from tacgen.outputs.events import MODES
+from tacgen.outputs.contact_modes import MODES
 
 MODE = "/frames/events/mode"
 VERBS = {  # of an instruction, after the first contact
@@ -68,7 +68,7 @@ def line(bundle: Bundle) -> str:
 
 
 def modes(bundle: Bundle) -> list[str]:
-    """The contact mode of each frame, as in tacgen.outputs.events. Raises Missing: `events` is not in the bundle."""
+    """The contact mode of each frame, by its name in MODES. Raises Missing: `events` is not in the bundle."""
     return [MODES[k] if 0 <= k < len(MODES) else "unknown" for k in bundle[MODE]]
 
 

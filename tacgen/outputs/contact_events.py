@@ -19,7 +19,7 @@ import numpy as np
 
 from tacgen.fem.elements import facet_areas, triangles
 from tacgen.outputs.contact_maps import RIM_SHARE
-from tacgen.outputs.events import MODES
+from tacgen.outputs.contact_modes import MODES
 
 if TYPE_CHECKING:
     from tacgen.mechanics import Problem, State

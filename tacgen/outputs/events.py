@@ -1,8 +1,7 @@
 """The state of the contact as a whole, one mode and five numbers a frame."""
 
 from tacgen.outputs.base import Datasets, Entry, FrameData, Output, number
-
-MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")
+from tacgen.outputs.contact_modes import MODES as MODES
 
 
 def _frame(frame: FrameData) -> Datasets:
