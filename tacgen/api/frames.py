@@ -12,7 +12,7 @@ from tacgen import output_file, regular_file
 from tacgen.bundle import dataset, field_names, kept_files
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
-from tacgen.bundle.caption import caption, line
+from tacgen.bundle.caption import caption
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.hdf5_file import LARGEST
 from tacgen.bundle.kept_files import Folder
@@ -88,7 +88,7 @@ class Frames:
     __iter__ = None  # frames are taken by name: without this Python would try frames[0]
 
     def __repr__(self) -> str:
-        return f"Frames({line(self.bundle)})"
+        return f"Frames({self.bundle.line})"
 
     def __getitem__(self, name: str) -> Array:
         """A dataset by its name below /frames or /fields, or by its path. Raises UserError: it is not there."""

@@ -20,9 +20,10 @@ import numpy as np
 from tacgen import atomic_file
 from tacgen.bundle.chunks import Column, FrameReader, rounded
 from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened, written_file
+from tacgen.bundle.scene_words import finger_text, shape_text
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, as_stored, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
-from tacgen.errors import UserError
+from tacgen.errors import UserError, printable
 from tacgen.version import __version__
 
 if TYPE_CHECKING:
@@ -173,9 +174,17 @@ class Bundle:
     group: str = "/"  # in the file; a shard holds a scene in each group
 
     def __repr__(self) -> str:
-        from tacgen.bundle.caption import line
+        return f"Bundle({self.line})"
 
-        return f"Bundle({line(self)})"
+    @property
+    def line(self) -> str:
+        """`scene-00000.h5: 10 frames, sphere, radius 4 mm, on gelsight_mini`, and why it is rejected if it is."""
+        name, attrs = self.path.name + self.group.rstrip("/"), self.attrs
+        planned, reason = attrs["frames_planned"], attrs["reason"]
+        count = f"{self.frames} frames" if self.frames == planned else f"{self.frames} of {planned} frames"
+        why = f": {attrs['status']}: {reason}" if reason else ""
+        shape = shape_text(self.recipe.get("indenter", {}))
+        return printable(f"{name}: {count}, {shape}, on {finger_text(attrs)}{why}")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """From another process, with shared strings as from a file."""

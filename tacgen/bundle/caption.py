@@ -4,13 +4,12 @@ A sphere, radius 4 mm, on gelsight_mini: pressed 1 mm deep, slid 1 mm along x. T
 from frame 5, sliding from frame 9. The largest force is 3.31 N, in frame 4.
 """
 
-import re
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import printable
+from tacgen.bundle.scene_words import finger_text, rounded, shape_text
 from tacgen.outputs.contact_modes import MODES
 
 MODE = "/frames/events/mode"
@@ -58,15 +57,6 @@ def task(bundle: Bundle) -> str:
     return f"{first}, then {', '.join(others)}{' and ' * bool(others)}{last} it."
 
 
-def line(bundle: Bundle) -> str:
-    """One line: `scene-00000.h5: 10 frames, sphere, radius 4 mm, on gelsight_mini`, and why it is rejected if it is."""
-    name = bundle.path.name + bundle.group.rstrip("/")
-    planned, status = bundle.attrs["frames_planned"], bundle.attrs["status"]
-    count = f"{bundle.frames} frames" if bundle.frames == planned else f"{bundle.frames} of {planned} frames"
-    why = f": {status}: {bundle.attrs['reason']}" if bundle.attrs["reason"] else ""
-    return printable(f"{name}: {count}, {indenter_text(bundle)}, on {sensor_text(bundle)}{why}")
-
-
 def modes(bundle: Bundle) -> list[str]:
     """The contact mode of each frame, by its name in MODES. Raises Missing: `events` is not in the bundle."""
     return [MODES[k] if 0 <= k < len(MODES) else "unknown" for k in bundle[MODE]]
@@ -86,31 +76,9 @@ def indenter_text(bundle: Bundle) -> str:
     return shape_text(bundle.recipe.get("indenter", {}))
 
 
-def shape_text(indenter: dict[str, Any]) -> str:
-    """The indenter of a recipe in words, such as `sphere, radius 4 mm`."""
-    fields = dict(indenter)
-    shape = fields.pop("shape", "indenter")
-    words = [re.split(r"[/\\]", re.sub(r"\.(stl|obj|ply)$", "", str(fields.pop("file", shape)), flags=re.I))[-1]]
-    for name in ("sha256", "up"):
-        fields.pop(name, None)
-    if fields.get("scale") == 1:
-        del fields["scale"]
-    for name, value in fields.items():
-        what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
-        number = f"{what.replace('_', ' ')} {rounded(value)} {unit}".rstrip() if isinstance(value, int | float) else ""
-        words.append(number or f"{value}")
-    return ", ".join(words)
-
-
 def sensor_text(bundle: Bundle) -> str:
     """`digit`; of a grasp `digit (right finger)`."""
-    finger = f" ({bundle.attrs['finger']} finger)" if "finger" in bundle.attrs else ""
-    return f"{bundle.attrs['sensor']}{finger}"
-
-
-def rounded(value: float) -> str:
-    """A number with three significant digits, or to the nearest whole one: `0.524`, `1235`."""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return finger_text(bundle.attrs)
 
 
 def _article(text: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from tacgen.bundle import check, dataset, run_status
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import shape_text
+from tacgen.bundle.scene_words import shape_text
 from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.report.sheet import counted
