@@ -103,7 +103,7 @@ def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
     """Imports of one scene, and the functions of tacgen that ran, as "module:function", without compiling."""
     from tacgen import mechanics, pipeline
 
-    here = str(Path(pipeline.__file__).parent)
+    here = str(Path(mechanics.__file__).parents[1])
     ran: set[str] = set()
 
     def watch(frame: FrameType, event: str, arg: Any) -> None:

@@ -16,7 +16,7 @@ from types import CodeType, FrameType
 from tacgen import pipeline
 from tacgen.recipe import assets, plan
 
-PACKAGE = Path(pipeline.__file__).parent
+PACKAGE = Path(plan.__file__).parents[1]
 HANDED_ON = {"Loaded", "Recipe", "Row", "Sensor", "LitSensor", "Plan"}  # classes
 
 
