@@ -14,7 +14,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import SOFT, Contact, Faces
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.shapes import Shapes
+from tacgen.tensor_engine.records import ContactArrays, Forces
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
 NO_SLOTS = np.zeros((0, 0), np.int32)  # of a sparse matrix, which there is none
@@ -40,57 +40,12 @@ def smooth(u: Tensor, eps: Tensor) -> Tensor:
     return torch.where(u < eps, u**2 * (eps - u / 3) / eps**2, u - eps / 3)
 
 
-@dataclass(frozen=True)
-class Forces:
-    """Contact at given positions: gap (s, f, q) [mm], `at` and normal (s, f, q, 3), normal force N (s, f, q) [N], force
-    on the gel (s, f, q, 3) [N], its negative derivative `tangent` (s, f, q, 3, 3), and `definite`; see
-    mechanics.coupled.ContactForces."""
-
-    gap: Tensor
-    at: Tensor
-    normal: Tensor
-    N: Tensor
-    force: Tensor
-    tangent: Tensor
-    definite: Tensor
-
-    @property
-    def total(self) -> Tensor:
-        """Sum of the normal forces (s,) [N]."""
-        return self.N.sum((1, 2))
-
-    @property
-    def mean_gap(self) -> Tensor:
-        """Force-weighted mean gap (s,) [mm]; 0 without contact."""
-        return (self.N * self.gap).sum((1, 2)) / self.total.clamp(min=1e-300)
-
-
 NAMES = [field.name for field in fields(Forces)]
 
 
 @dataclass(frozen=True)
-class Contacts:
-    """Barrier and friction between facets and the indenter of each scene.
-
-    conn (s, f, 4) node numbers; N (q, 4); areas (s, f, q), 0 where a facet does not exist; rotation
-    (s, 3, 3) and position (s, 3) of the indenter; (s,): dhat and offset [mm], kappa [MPa], friction, slip length eps
-    [mm]; anchor (s, f, q, 3) in the sensor's frame; on a GPU, of each node `ends` (s, n, 4): the facet of which it is a
-    certain corner, -1 if none, if the facets are not those of the whole face.
-    """
-
-    shapes: Shapes
-    conn: Tensor
-    N: Tensor
-    areas: Tensor
-    rotation: Tensor
-    position: Tensor
-    dhat: Tensor
-    kappa: Tensor
-    offset: Tensor
-    friction: Tensor
-    eps: Tensor
-    anchor: Tensor
-    ends: Tensor | None = None
+class Contacts(ContactArrays):
+    """Barrier and friction between facets and the indenter of each scene."""
 
     def shrunk(self, offset: Tensor) -> "Contacts":
         """With indenters shrunk by other offsets (s,) [mm]."""

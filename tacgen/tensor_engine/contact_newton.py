@@ -15,8 +15,9 @@ from torch import Tensor
 from tacgen.mechanics.contact_newton import FULL_STEP, MIN_COUPLED, ROUNDING, SHORTEST
 from tacgen.mechanics.line_search import ARMIJO
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.contact import Contacts, Forces
+from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.indices import constant
+from tacgen.tensor_engine.records import Forces
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 

@@ -17,7 +17,7 @@ from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine.gpu_distance import POINTS, signed_distance, store_vector
 
 if TYPE_CHECKING:
-    from tacgen.tensor_engine.contact import Contacts, Forces
+    from tacgen.tensor_engine.records import ContactArrays, Forces
 
 NOWHERE = tl.constexpr(1e9)  # gap of facets that do not exist [mm]
 SOFTEST = tl.constexpr(SOFT)
@@ -270,7 +270,7 @@ def _blocked(
 
 
 def blocked(
-    c: Contacts, before: Tensor, x: Tensor, rotation: Tensor, position: Tensor, gap: Tensor, reach: Tensor
+    c: ContactArrays, before: Tensor, x: Tensor, rotation: Tensor, position: Tensor, gap: Tensor, reach: Tensor
 ) -> Tensor:
     """Whether a point passes through the indenter (s,) on the way from nodes `before` (s, n, 3), when its pose was
     another and the gap (s, f, q), to x; see load_step.blocked."""
@@ -285,7 +285,7 @@ def blocked(
     return out.any(1)
 
 
-def _parts(c: Contacts) -> tuple[Tensor, ...]:
+def _parts(c: ContactArrays) -> tuple[Tensor, ...]:
     """The parts of a contact that kernels take: facets, shape functions, areas, poses, shapes, numbers and anchors."""
     parts = (
         c.N, c.areas, c.rotation, c.position, c.shapes.kinds, c.shapes.table, c.shapes.values,
@@ -306,7 +306,7 @@ def _gaps(
     tl.store(OUT + scene * count + k, d, mask=inside)
 
 
-def gaps(c: Contacts, x: Tensor) -> Tensor:
+def gaps(c: ContactArrays, x: Tensor) -> Tensor:
     """contact.Contacts.gap_at_nodes."""
     (s, f, q), x = c.areas.shape, x.contiguous()
     out = x.new_empty(s, f, q)
@@ -317,7 +317,7 @@ def gaps(c: Contacts, x: Tensor) -> Tensor:
     return out
 
 
-def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
+def forces(c: ContactArrays, x: Tensor) -> tuple[Tensor, ...]:
     """The parts of contact.Forces with tangents at nodes x (s, n, 3)."""
     (s, f, q), x = c.areas.shape, x.contiguous()
     shapes = ((), (3,), (3,), (), (3,), (3, 3), (3, 3))
@@ -328,7 +328,7 @@ def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
     return out
 
 
-def merits(c: Contacts, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
+def merits(c: ContactArrays, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
     """contact.Contacts.merits."""
     (s, f, q), x, p, trials = c.areas.shape, x.contiguous(), p.contiguous(), fractions.shape[1]
     blocks = triton.cdiv(f * q, POINTS)

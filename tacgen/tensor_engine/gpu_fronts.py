@@ -12,10 +12,10 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from tacgen.tensor_engine.multifrontal import invert_factor, squared, times_transposed
+from tacgen.tensor_engine.dense import invert_factor, squared, times_transposed
 
 if TYPE_CHECKING:
-    from tacgen.tensor_engine.multifrontal import Fronts, Panel
+    from tacgen.tensor_engine.fronts import Fronts, Panel
 
 NUMBERS = ("pairs", "size", "numbers", "apart", "t", "w", "m", "n")  # no code of its own for each value of these
 SIZES = (*NUMBERS, "length", "beyond", "slot", "row", "to_slot", "to_row")

@@ -12,7 +12,7 @@ import triton.language as tl
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from tacgen.tensor_engine.multifrontal import FrontGroup, Panel
+    from tacgen.tensor_engine.fronts import FrontGroup, Panel
 
 ROWS, LONG = 32, 64  # numbers of a result that a program computes, and of a sum that it adds at once
 SIZES = ("t", "rows", "w", "m", "nodes", "size", "slot", "to", "length")

@@ -7,64 +7,17 @@ substitutions. Their rounding errors are larger, by the condition of a diagonal 
 """
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from tacgen.tensor_engine import dense
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
+from tacgen.tensor_engine.fronts import FrontGroup, Fronts, Panel
 from tacgen.tensor_engine.products import slot_times
 
 Array = np.ndarray
-BASE = 320  # rows up to which a matrix is inverted by kernels of its own on a GPU, or by LAPACK; larger ones by halves
-STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
-
-
-@dataclass(frozen=True)
-class Fronts:
-    """Where the numbers of fronts (t, w own nodes, m others) come from, of which the lower triangle is summed.
-
-    places (b, t, arity, w + m): the row of nodes that each node is in each of the children's updates, -1 where it is in
-    none; in the first, which is there without children too, -2 where the node is padding and gets the unit matrix; b is
-    1 where all matrices have the same. first, length (t, arity): where a child's update begins in the updates of the
-    level below, and how long its rows are [numbers].
-    entries (t, w + m, w): the matrix's own blocks, numbers of (pairs + 1), the last of which is 0.
-    """
-
-    places: Tensor
-    first: Tensor
-    length: Tensor
-    entries: Tensor | None
-    w: int
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """t, and the rows 3w and 3m of unknowns."""
-        _, t, _, rows = self.places.shape
-        return t, 3 * self.w, 3 * (rows - self.w)
-
-
-@dataclass(frozen=True)
-class FrontGroup:
-    """Fronts of a level that are one batch: nodes own (t, w) and bound (t, m), the number of all nodes where padded;
-    rows (t, arity): where a child's vectors begin in those of the level below; at, row: where the fronts' own updates
-    and vectors begin in those of their level."""
-
-    fronts: Fronts
-    own: Tensor
-    bound: Tensor
-    rows: Tensor
-    at: int
-    row: int
-
-
-@dataclass(frozen=True)
-class Panel:
-    """The factors of a group: inverses of the diagonal blocks (B, t, 3w, 3w), and the blocks below (B, t, 3m, 3w)."""
-
-    inverse: Tensor
-    below: Tensor
 
 
 class Multifrontal:
@@ -107,7 +60,7 @@ class Multifrontal:
     def assembled(self, elements: Tensor) -> Tensor:
         """The entries (B, pairs + 1, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
         pattern's hexes, rows and columns in the order 3a + i. Nodes without any stiffness get the unit matrix."""
-        if fused(elements):
+        if dense.fused(elements):
             from tacgen.tensor_engine import gpu_fronts
 
             return gpu_fronts.entries(elements, self._parts, self._diagonal)
@@ -175,16 +128,11 @@ class Multifrontal:
         return torch.nn.functional.pad(x.to(self.dtype), (0, 0, 0, 1))
 
 
-def fused(x: Tensor) -> bool:
-    """Whether Triton's kernels do the work on such numbers."""
-    return bool(x.is_cuda) and x.dtype == torch.float32
-
-
 def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
     """The own columns (B, t, w + m, w) of fronts before elimination, of the matrix's entries (B, numbers) and the
     updates (B, numbers) of the level below; where there are no others, so m = 0, the whole symmetric matrices."""
     _, w, m = fronts.sizes
-    if fused(data):
+    if dense.fused(data):
         from tacgen.tensor_engine import gpu_fronts
 
         return gpu_fronts.assembled(fronts, data, below)
@@ -204,18 +152,18 @@ def eliminate(
     Returns the leading minor of each (B, t) that is not positive, 0 where it is positive definite.
     """
     t, w, m = fronts.sizes
-    if fused(data):
+    if dense.fused(data):
         from tacgen.tensor_engine import gpu_fronts
 
         return gpu_fronts.eliminate(fronts, data, below, panel, slots, updates, whole)
     columns = assembled(fronts, data, below).flatten(0, 1)
     inverse = columns[:, :w].contiguous()
-    info = invert_factor(inverse)
-    L = times_transposed(columns[:, w:], inverse)
+    info = dense.invert_factor(inverse)
+    L = dense.times_transposed(columns[:, w:], inverse)
     for kept, new in ((panel.inverse, inverse), (panel.below, L)):
         rows, length = (a - b for a, b in zip(kept.shape[2:], new.shape[1:], strict=True))
         kept[slots] = torch.nn.functional.pad(new.unflatten(0, (-1, t)), (0, length, 0, rows))
-    left = _summed(fronts, below, w, w + m).flatten(0, 1) - squared(L)
+    left = _summed(fronts, below, w, w + m).flatten(0, 1) - dense.squared(L)
     updates.copy_((_mirrored(left) if whole else left).view(updates.shape))
     return info.view(-1, t)
 
@@ -240,62 +188,12 @@ def _summed(fronts: Fronts, below: Tensor, start: int, stop: int) -> Tensor:
     return out
 
 
-def half(n: int) -> int:
-    """Rows of the first of two parts of a matrix of n rows, a multiple of those that kernels eliminate at once."""
-    return 32 * round(n / 64 + 1e-9)
-
-
-def invert_factor(A: Tensor) -> Tensor:
-    """Overwrite symmetric matrices A (b, n, n), of which the lower triangle is read, by L^-1, where A = L L^T.
-
-    Returns the leading minor (b,) that is not positive, 0 where the matrix is positive definite; where it is not,
-    numbers mean nothing.
-    """
-    n = A.shape[-1]
-    if n <= BASE and fused(A):
-        from tacgen.tensor_engine import gpu_blocks
-
-        return gpu_blocks.lower_inverse(A)
-    if n <= BASE:
-        L, info = torch.linalg.cholesky_ex(A)
-        A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))
-        return info
-    k = half(n)
-    first, corner, low, last = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
-    info = invert_factor(first)
-    L = times_transposed(low, first)
-    last.baddbmm_(L, L.mT, alpha=-1)
-    after = invert_factor(last)
-    low.baddbmm_(last @ L, first, beta=0, alpha=-1)
-    corner.zero_()
-    return torch.where((info == 0) & (after > 0), after + k, info)
-
-
-def times_transposed(A: Tensor, L: Tensor) -> Tensor:
-    """A L^T of A (b, m, w) and lower triangles L (b, w, w)."""
-    w, out = L.shape[-1], A.new_empty(A.shape)
-    for at in range(0, w, STRIP):
-        to = min(at + STRIP, w)
-        out[:, :, at:to].baddbmm_(A[:, :, :to], L[:, at:to, :to].mT, beta=0)
-    return out
-
-
-def squared(L: Tensor) -> Tensor:
-    """L L^T from the diagonal down, of L (b, m, w); numbers elsewhere mean nothing."""
-    m = L.shape[1]
-    out = L.new_empty(len(L), m, m)
-    for at in range(0, m, STRIP):
-        to = min(at + STRIP, m)
-        out[:, at:, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, beta=0)
-    return out
-
-
 def forward(
     group: FrontGroup, panel: Panel | None, slots: Tensor, b: Tensor, below: Tensor, y: Tensor, updates: Tensor
 ) -> None:
     """Vectors b (B, n + 1, 3) with what the children add, from those of the level below (B, rows, 3): L^-1 of them into
     y at the own nodes, and what is left of the others into updates. Without a panel, as for the patch, into y."""
-    if fused(b):
+    if dense.fused(b):
         from tacgen.tensor_engine import gpu_substitution
 
         return gpu_substitution.forward(group, panel, slots, b, below, y, updates)
@@ -312,7 +210,7 @@ def forward(
 
 def backward(group: FrontGroup, panel: Panel, slots: Tensor, y: Tensor, x: Tensor) -> None:
     """x (B, n + 1, 3) at the own nodes of fronts from y and x at the others; y may change."""
-    if fused(y):
+    if dense.fused(y):
         from tacgen.tensor_engine import gpu_substitution
 
         return gpu_substitution.backward(group, panel, slots, y, x)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.multifrontal import BASE, half, invert_factor
+from tacgen.tensor_engine.dense import BASE, half, invert_factor
 from tacgen.tensor_engine.products import Used, slot_times
 from tacgen.tensor_engine.replay import rare
 

@@ -21,6 +21,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from tacgen.tensor_engine import (
     condensed,
+    dense,
     gpu_blocks,
     gpu_contact,
     gpu_distance,
@@ -35,6 +36,7 @@ from tacgen.tensor_engine import (
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import dissected
+from tacgen.tensor_engine.fronts import Fronts, Panel
 from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine.compiling import interpreted_and_compiled
@@ -183,10 +185,10 @@ def test_fronts_of_several_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     places[1, [w - 1, -1]] = -2
     both = []
     for device, kernels in (("cpu", False), (DEVICE, True)):
-        monkeypatch.setattr(multifrontal, "fused", lambda x, kernels=kernels: kernels)
+        monkeypatch.setattr(dense, "fused", lambda x, kernels=kernels: kernels)
         one = torch.zeros(1, 1, dtype=torch.int32, device=device)
-        fronts = multifrontal.Fronts(places[:, None, None].to(device), one, one + 3 * nodes, None, w)
-        panel = multifrontal.Panel(*(torch.full((3, 1, n, 80), torch.nan, device=device) for n in (80, 90)))
+        fronts = Fronts(places[:, None, None].to(device), one, one + 3 * nodes, None, w)
+        panel = Panel(*(torch.full((3, 1, n, 80), torch.nan, device=device) for n in (80, 90)))
         S = torch.full((2, 1, 69, 69), torch.nan, device=device)
         slots = torch.tensor([2, 0], device=device)
         info = multifrontal.eliminate(
@@ -235,7 +237,7 @@ class Launches(TorchDispatchMode):
 def unlaunched(monkeypatch: pytest.MonkeyPatch) -> tuple[Launches, Condensed]:
     """Factors of two scenes whose kernels are counted, and do nothing."""
     tree, counted = dissected(GridPattern((18, 18, 5))), Launches()
-    monkeypatch.setattr(multifrontal, "fused", lambda x: True)
+    monkeypatch.setattr(dense, "fused", lambda x: True)
     monkeypatch.setattr(condensed, "slot_times", gpu_blocks.slot_times)
     kernels = type(gpu_blocks._rows)
     for module in (gpu_blocks, gpu_fronts, gpu_substitution):
@@ -297,7 +299,7 @@ def test_factors_condensed_to_nodes_and_substitutions(monkeypatch: pytest.Monkey
     g[2], u[2] = g[0], u[0]
     both = []
     for device, kernels in (("cpu", False), (DEVICE, True)):
-        monkeypatch.setattr(multifrontal, "fused", lambda x, kernels=kernels: kernels)
+        monkeypatch.setattr(dense, "fused", lambda x, kernels=kernels: kernels)
         kept = Condensed(multifrontal.Multifrontal(tree, device), 3)
         kept.reserve(4)
         kept._inverse.fill_(torch.nan)  # of what a slot had before
