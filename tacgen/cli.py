@@ -12,6 +12,7 @@ import typer
 from tacgen.cli_calibrate import calibrations
 from tacgen.cli_common import (
     AsJson,
+    Bundles,
     Overwrite,
     app,
     line,
@@ -276,7 +277,8 @@ def show_list(
 
 @app.command()
 def check(
-    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")], as_json: AsJson = False
+    path: Bundles,
+    as_json: AsJson = False,
 ) -> None:
     """Check that bundles are complete and unchanged, values finite, forces balanced; all but notes give exit code 1."""
     from tacgen.bundle.check import check as find
@@ -317,7 +319,7 @@ for command in (replay, report, show, view):
 @app.command()
 def export(
     kind: Annotated[str, typer.Argument(metavar="FORMAT", help=f"{FORMATS}; `tacgen list formats` describes them.")],
-    source: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
+    source: Bundles,
     out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
     merge: Merge = False,
     card: Annotated[bool, typer.Option("--card", help="Write README.md as a data hub's page needs it.")] = False,

@@ -17,6 +17,7 @@ from tacgen import output_file, regular_file
 from tacgen.errors import LeftOut, UserError, printable
 from tacgen.terminal import dropping, open_standard_streams, say
 
+Bundles = Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
 DISK_ERRORS = tuple(

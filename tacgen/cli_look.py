@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli_common import Overwrite, tell, written
+from tacgen.cli_common import Bundles, Overwrite, tell, written
 from tacgen.errors import UserError
 
 
@@ -66,7 +66,7 @@ def show(
 
 
 def view(
-    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
+    path: Bundles,
     other: Annotated[Path | None, typer.Argument(help="Another bundle, shown side by side.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The page to write.")] = Path("view.html"),
     browse: Annotated[bool, typer.Option("--browse", help="Open it in the web browser.")] = False,
