@@ -26,6 +26,7 @@ LAYERS = [
     "array_cache",
     "compiled",
     "stage_clock",
+    "physics",
     "fem",
     "geometry",
     "sensor",
@@ -56,9 +57,14 @@ LAYERS = [
 ]
 # Numerics that know no recipe and no scene, in type hints either, and what they may import. Optics names the classes
 # of a sensor file in hints alone: it runs on anything that holds the same numbers.
-LIBRARIES = {"fem": {"compiled"}, "optics": {"compiled", "geometry"}}
+LIBRARIES = {
+    "physics": {"array_cache", "compiled", "terminal"},
+    "fem": {"compiled", "physics"},
+    "optics": {"compiled", "geometry"},
+}
 IN_HINTS = {"optics": {"sensor"}}
 ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
+TENSORS_OF_BOTH = "physics.runtime"  # launches kernels on arrays of NumPy and of PyTorch
 
 # Heavy packages and where they may be imported, always inside functions.
 HOMES = {
@@ -112,6 +118,7 @@ WRITERS = {
     "mechanics.ftetwild": {"np.savez"},
     # no files of a user's
     "compiled": {"touch"},  # in the cache
+    "physics.runtime": {"write_bytes"},  # in a temporary folder, from which Warp loads code
     "regular_file": {"os.open"},  # to read
     "terminal": {"os.open"},  # /dev/null
     "batch.worker_main": {"open"},  # of /proc
@@ -142,7 +149,7 @@ READERS = {
     # of the installed package, or of the system
     **{name: {"read_text"} for name in ("report.catalogue", "report.html_page", "batch.worker_process")},
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
-    "compiled": {"read_bytes"},
+    **{name: {"read_bytes"} for name in ("compiled", "physics.runtime")},
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 LINES_BESIDE = 5320  # of benchmarks/ and scripts/ together
@@ -235,7 +242,9 @@ def test_libraries_need_numerics_only() -> None:
             continue
         for module, _ in imports(path):
             package, target = module.split(".")[0], layer(module)
-            allowed = sys.stdlib_module_names | ALLOWED_IN_LIBRARIES | {"tacgen"}
+            allowed = sys.stdlib_module_names | ALLOWED_IN_LIBRARIES | {"tacgen", "warp" if own == "physics" else ""}
+            if name == TENSORS_OF_BOTH:
+                allowed = allowed | {"torch"}
             foreign = package == "tacgen" and target not in {"", own, *LIBRARIES[own]}
             if foreign or (package not in allowed and name not in HOMES.get(package, ())):
                 wrong.append(f"{name} imports {module}")
@@ -269,6 +278,8 @@ def test_only_tensor_packages_need_pytorch_and_others_import_them_inside_functio
     for name, path in files().items():
         inside = name.split(".")[0] in tensors
         for module, top in imports(path):
+            if name == TENSORS_OF_BOTH and not top:
+                continue
             if module.split(".")[0] in ("torch", "triton") and (not inside or name.endswith("__init__")):
                 wrong.append(f"{name} imports {module}")
             if layer(module) in tensors and module.startswith("tacgen") and top and not inside:

@@ -15,7 +15,7 @@ MOST_CORNERS = 10  # of an element
 
 
 def coefficients(law: Array, cells: int) -> Any:
-    """The same law (9,) for all cells."""
+    """One law (9,) for all cells."""
     return array(np.tile(law, (1, cells, 1)), Coefficients)
 
 
