@@ -64,8 +64,14 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
     if device.is_cuda:
         import torch
 
-        stream = wp.stream_from_torch(torch.cuda.current_stream())
+        stream = _stream(torch.cuda.current_stream().cuda_stream, device.alias)
     wp.launch(kernel, dim=dim, inputs=inputs, device=device, stream=stream)
+
+
+@cache
+def _stream(handle: int, device: str) -> wp.Stream:
+    """Warp's object for a stream of PyTorch; a new one each time would be registered and removed in recordings."""
+    return wp.Stream(device, cuda_stream=handle)
 
 
 def room(dtype: Any, shape: tuple[int, ...], like: Any) -> wp.array:
