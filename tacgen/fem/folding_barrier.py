@@ -39,7 +39,7 @@ class FoldingPoint:
     def add_forces(self, out: Array) -> None:
         """Add dE/dx to out (n, 3) [N]."""
         if self.cells.size:
-            np.add.at(out, self.barrier.conn[self.cells], self.barrier.folds.states(self.x, self.cells, forces=True)[1])
+            np.add.at(out, self.barrier.conn[self.cells], self.barrier.folds.forces(self.x, self.cells))
 
     def add_tangent(self, data: Array, projection: Projection) -> None:
         """Add d2E/dx2 to the entries of the Pattern."""
@@ -78,8 +78,7 @@ class FoldingBarrier:
 
     def evaluate(self, x: Array) -> FoldingPoint:
         below = np.flatnonzero(self.folds.lowest(x) < J0)
-        energy = float(self.folds.states(x, below, forces=False)[0].sum()) if below.size else 0.0
-        return FoldingPoint(self, x, below, energy)
+        return FoldingPoint(self, x, below, self.folds.energy(x, below) if below.size else 0.0)
 
     def value(self, x: Array) -> float:
         return self.evaluate(x).energy

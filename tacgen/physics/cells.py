@@ -45,7 +45,7 @@ class Cells:
         """F (e, q, 3, 3) at positions x (n, 3)."""
         F = np.empty((1, *self.shape, 3, 3))
         launch(elements.deformation, (1, self.shape[0], 1), x[None], self.conn, self.B, self.rows, 1, F)
-        return F[0]
+        return np.asarray(F[0])
 
     def states(
         self, F: Array, laws: Any, local: float, memory: Array | None, mixed: tuple[Array, Array] | None = None
@@ -70,13 +70,13 @@ class Cells:
         corners = np.empty((1, *self._conn.shape, 3))
         launch(elements.corner_forces, (1, len(self._conn), 1), stress[None], self.B, self.rows, 1, corners)
         launch(elements.at_nodes, (1, self.nodes), corners, *self.around, out)
-        return out[0]
+        return np.asarray(out[0])
 
     def predicted(self, F: Array, to: Array, taken: Array) -> Array:
         """J (e, q) at F = `to`, to first order from J at F, linearised at `taken`."""
         J = np.empty((1, *self.shape))
         launch(elements.predictions, J.shape, F[None], to[None], taken[None], self.rows, J)
-        return J[0]
+        return np.asarray(J[0])
 
     def add_tangent(
         self, F: Array, laws: Any, local: float, memory: Array | None, predicted: Array | None, two: bool,
@@ -113,16 +113,25 @@ class Folds:
         """The lowest J (e,) of each cell."""
         low = np.empty((1, self.shape[0]))
         launch(elements.lowest, low.shape, x[None], self.conn, self.dN, self.rest, self.most, self.rows, low)
-        return low[0]
+        return np.asarray(low[0])
 
-    def states(self, x: Array, cells: Array, forces: bool) -> tuple[Array, Array | None]:
-        """Energies (k,) [N mm] of some cells (k,) and, if wanted, the forces on their corners (k, a, 3) [N]."""
-        energy, corners = np.empty(len(cells)), np.empty((len(cells), self.shape[1], 3)) if forces else None
+    def energy(self, x: Array, cells: Array) -> float:
+        """Energy [N mm] of some cells (k,), inf if one is inverted."""
+        energies = np.empty(len(cells))
+        self._launch(x, cells, energies, None)
+        return float(energies.sum())
+
+    def forces(self, x: Array, cells: Array) -> Array:
+        """Forces (k, a, 3) [N] on the corners of some cells (k,)."""
+        out = np.empty((len(cells), self.shape[1], 3))
+        self._launch(x, cells, np.empty(len(cells)), out)
+        return out
+
+    def _launch(self, x: Array, cells: Array, energies: Array, corners: Array | None) -> None:
         launch(
-            elements.folds, energy.shape, x[None], self.conn, self.dN, self.rest, self.most, self.stiffness,
-            self.rows, _items(cells), energy, corners,
+            elements.folds, (len(cells),), x[None], self.conn, self.dN, self.rest, self.most, self.stiffness,
+            self.rows, _items(cells), energies, corners,
         )  # fmt: skip
-        return energy, corners
 
     def add_tangent(self, x: Array, cells: Array, projection: int, entries: Array, data: Array) -> None:
         """Add d2E/dx2 of some cells (k,) to `data` at `entries` (e, 3a*3a)."""
