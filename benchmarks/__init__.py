@@ -14,8 +14,8 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from benchmarks import results_page, summary
-from tacgen import regular_file
-from tacgen.errors import UserError
+from tacgen.base import regular_file
+from tacgen.base.errors import UserError
 
 BENCHES = {  # name: module
     "mechanics": "mechanics",

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import benchmarks
-from tacgen.cli_common import probe, writing
-from tacgen.errors import UserError
-from tacgen.terminal import say
+from tacgen.base.errors import UserError
+from tacgen.base.terminal import say
+from tacgen.cli.common import probe, writing
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

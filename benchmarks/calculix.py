@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.results_page import one_thread
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.fem.elements import HEX_EDGES, boxes
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.gel import GelBody

@@ -9,7 +9,7 @@ from types import FrameType
 from typing import Any
 
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, in_own_processes, peak_memory
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import NAMES
 
 ABOUT = (
@@ -80,7 +80,7 @@ def rows_of(outputs: str, sets: list[str]) -> Any:
 def run(outputs: str, sets: list[str]) -> dict[str, Any]:
     """Run the scene through the pipeline in this process, after a coarse one: seconds, memory, modules and packages.
     A UserError ends the process."""
-    from tacgen import pipeline
+    from tacgen.batch import pipeline
 
     rough, rows = rows_of(outputs, [*sets, *WARM_UP]), rows_of(outputs, sets)
     with TemporaryDirectory() as folder:
@@ -101,7 +101,8 @@ def loaded() -> dict[str, list[str]]:
 
 def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
     """Imports of one scene, and the functions of tacgen that ran, as "module:function", without compiling."""
-    from tacgen import mechanics, pipeline
+    from tacgen import mechanics
+    from tacgen.batch import pipeline
 
     here = str(Path(mechanics.__file__).parents[1])
     ran: set[str] = set()

@@ -37,8 +37,8 @@ from benchmarks import results_page
 from benchmarks.draws import drawn
 from benchmarks.reference_runs import forces_of, row_of, solve_frames
 from tacgen import mechanics
+from tacgen.base.errors import UserError
 from tacgen.batch.cuda_engine import CHUNK, MEMORY, solvers
-from tacgen.errors import UserError
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.optics.adaptive_sampling import SamplingTolerance

@@ -10,7 +10,7 @@ from benchmarks.draws import Draw
 from benchmarks.reference_runs import forces_of, row_of, solve_frames
 from benchmarks.results_page import Cell, Table, columns
 from tacgen import mechanics
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.expected_error import FACTOR, frame_error
 from tacgen.recipe import scene_of_row

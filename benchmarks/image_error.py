@@ -17,7 +17,8 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from tacgen import array_cache, mechanics
+from tacgen import mechanics
+from tacgen.base import array_cache
 from tacgen.mechanics import mesh
 from tacgen.optics import camera_response
 from tacgen.optics.camera_view import Samples

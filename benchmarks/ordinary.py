@@ -13,7 +13,7 @@ from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from benchmarks.step_size_error import FINER, finer
 from tacgen import mechanics
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.mechanics import SolverOptions, mesh, presolve
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row

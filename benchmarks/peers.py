@@ -10,7 +10,7 @@ from benchmarks import calculix
 from benchmarks.calculix import Pressed
 from benchmarks.reference_runs import BALL, answer, kept, row_of
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
-from tacgen import array_cache
+from tacgen.base import array_cache
 from tacgen.recipe import scene_of_row
 
 ABOUT = (

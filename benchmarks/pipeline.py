@@ -20,8 +20,8 @@ from benchmarks.results_page import (
     in_own_processes,
     peak_memory,
 )
+from tacgen.base.clock import Clock
 from tacgen.batch import worker_process
-from tacgen.stage_clock import Clock
 
 ABOUT = (
     "A ball of 4 mm pressed (1 mm; DIGIT 0.6), slid 1 mm and twisted 10 deg with friction 0.6, from recipe to bundle."
@@ -83,7 +83,7 @@ def made(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) ->
     """
     import h5py
 
-    from tacgen import pipeline
+    from tacgen.batch import pipeline
     from tacgen.bundle import bundle
     from tacgen.outputs import OUTPUTS
 

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tacgen import array_cache, mechanics
+from tacgen import mechanics
+from tacgen.base import array_cache
 from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene

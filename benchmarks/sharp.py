@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from tacgen import mechanics
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.mechanics import mesh
 from tacgen.mechanics.expected_error import FACTOR, Expected
 from tacgen.recipe import scene_of_row

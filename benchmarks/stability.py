@@ -13,7 +13,7 @@ from benchmarks.cases import CASES, PLAIN, RANDOM, random
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from tacgen import mechanics
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.fem.elements import HEX_CORNERS
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh

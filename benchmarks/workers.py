@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results_page import Cell, Plot, Say, Series, Table, columns, in_own_process
-from tacgen import batch, pipeline
+from tacgen import batch
+from tacgen.batch import pipeline
 from tacgen.recipe import assets, plan
 
 HALF = 4  # frames of the press, and of the slide

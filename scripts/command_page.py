@@ -8,7 +8,7 @@ from typing import Any, get_args, get_type_hints
 import click
 import typer
 
-from tacgen.cli import app
+from tacgen.cli.main import app
 
 HEAD = """# Commands
 
@@ -60,7 +60,7 @@ def section(command: click.Command, context: click.Context) -> list[str]:
 
 
 def helps(callback: Any) -> dict[str, str]:
-    """The help of each parameter as tacgen/cli.py writes it: click drops that of arguments."""
+    """The help of each parameter as tacgen/cli/main.py writes it: click drops that of arguments."""
     hints = get_type_hints(inspect.unwrap(callback), include_extras=True)
     return {name: next((str(note.help) for note in get_args(hint)[1:]), "") for name, hint in hints.items()}
 

@@ -24,11 +24,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.pack import pack
 from tacgen.bundle.splits import SPLITS, assigned
-from tacgen.errors import UserError
 from tacgen.export.feats import shares
 from tacgen.outputs.contact_modes import MODES
 from tacgen.recipe import assets, loading

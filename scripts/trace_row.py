@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import CodeType, FrameType
 
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.recipe import assets, plan
 
 PACKAGE = Path(plan.__file__).parents[1]

@@ -14,7 +14,7 @@
 import os
 from typing import TYPE_CHECKING, Any
 
-from tacgen.version import __version__ as __version__
+from tacgen.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from tacgen.api.frames import Frames as Frames
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from tacgen.api.simulation import load_sensor as load_sensor
     from tacgen.api.simulation import run as run
     from tacgen.api.simulation import simulate as simulate
+    from tacgen.base.errors import UserError as UserError
     from tacgen.bundle.postprocess import hydrostatic as hydrostatic
     from tacgen.bundle.postprocess import principal as principal
     from tacgen.bundle.postprocess import von_mises as von_mises
-    from tacgen.errors import UserError as UserError
     from tacgen.recipe.indenters import Box as Box
     from tacgen.recipe.indenters import Capsule as Capsule
     from tacgen.recipe.indenters import Cone as Cone
@@ -65,7 +65,7 @@ _HOMES = {
     "tacgen.api.simulation": ("simulate", "run", "load_sensor"),
     "tacgen.api.frames": ("Frames", "SceneRejected", "read", "read_all"),
     "tacgen.bundle.postprocess": ("von_mises", "principal", "hydrostatic"),
-    "tacgen.errors": ("UserError",),
+    "tacgen.base.errors": ("UserError",),
     "tacgen.recipe.indenters": ("Sphere", "Cylinder", "Cone", "Box", "Wedge", "Capsule", "Torus", "Mesh"),
     "tacgen.recipe.trajectory": ("Start", "Press", "Slide", "Twist", "Tilt", "Hold", "Release", "Replay"),
     "tacgen.sensor.model": ("Sensor", "Gel", "Dome", "Camera"),

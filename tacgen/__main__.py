@@ -1,6 +1,6 @@
 """`python -m tacgen`."""
 
-from tacgen.cli import app
+from tacgen.cli.main import app
 
 if __name__ == "__main__":
     app()

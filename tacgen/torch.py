@@ -19,12 +19,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.check import UNIQUE
 from tacgen.bundle.chunks import FrameReader
 from tacgen.bundle.hdf5_file import item_at, open_file
 from tacgen.bundle.splits import FRACTIONS, divide
-from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 
 Item = dict[str, Any]

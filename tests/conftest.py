@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from helpers.kept_workers import KeptWorkers
 
-from tacgen.array_cache import cache_folder
+from tacgen.base.array_cache import cache_folder
 
 pytest_plugins = ["helpers.processor_time"]
 gc.set_threshold(100_000)  # by the usual 700, a twentieth of the tests' time goes into searching for garbage

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import array_cache
+from tacgen.base import array_cache
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 MADE = np.arange(6.0)

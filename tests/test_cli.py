@@ -13,10 +13,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import tacgen.batch
-from tacgen import cli
 from tacgen.batch.local import outcome
 from tacgen.batch.probe import PlanCost
 from tacgen.bundle.resume import SceneResult
+from tacgen.cli import main as cli
 from tacgen.recipe import assets, loading, plan, schema
 from tacgen.report import dataset_card
 from tacgen.report.estimate import Made, cost

@@ -14,17 +14,27 @@ from typing import Any
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from tacgen import compiled, mechanics
+from tacgen import mechanics
+from tacgen.base import compiled
 
 PACKAGE = Path(mechanics.__file__).parents[1]
 USE = """
 import numpy as np
-from tacgen import compiled
+from tacgen.base import compiled
 from tacgen.optics import probe
 print(probe.twice(2.0), compiled.seconds() > 0)
 """
 
-NEEDED = ("__init__", "version", "compiled", "array_cache", "atomic_file", "regular_file", "errors")
+NEEDED = (
+    "__init__",
+    "base/__init__",
+    "base/version",
+    "base/compiled",
+    "base/array_cache",
+    "base/atomic_file",
+    "base/regular_file",
+    "base/errors",
+)
 
 
 def copied(folder: Path, factor: str) -> Path:
@@ -34,7 +44,7 @@ def copied(folder: Path, factor: str) -> Path:
         to = folder / f"tacgen/{name}.py"
         to.parent.mkdir(exist_ok=True)
         shutil.copy(PACKAGE / f"{name}.py", to)
-    head = "from tacgen.compiled import njit\n"
+    head = "from tacgen.base.compiled import njit\n"
     (folder / "tacgen/optics/__init__.py").write_text("")
     called = f"@njit(cache=False)\ndef scaled(x):\n    return {factor} * x\n"
     (folder / "tacgen/optics/scale.py").write_text(head + called)
@@ -82,7 +92,7 @@ POWERS = """
 import re
 import sys
 import numpy as np
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 
 @njit(cache=False)
 def product(x):
@@ -165,7 +175,7 @@ def test_one_process_compiles_and_others_wait(tmp_path: Path, monkeypatch: pytes
     program = """
         import sys, time
         from pathlib import Path
-        from tacgen import compiled
+        from tacgen.base import compiled
         compiled.folder, compiled._writable = lambda: Path(sys.argv[1]), lambda: True
         with compiled.once("solve"):
             print("in", flush=True)

@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 from tacgen import export
 from tacgen.bundle import bundle
-from tacgen.cli import app
+from tacgen.cli.main import app
 from tacgen.recipe import assets, loading, model, plan
 from tacgen.recipe.grasp_checks import OF_GRASP
 from tacgen.recipe.indenters import SHAPES

@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from tacgen import cli, doctor
+from tacgen.cli import doctor
+from tacgen.cli import main as cli
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ from helpers.needs import needs
 from helpers.program import loaded
 from helpers.small_recipe import PICTURE
 
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.recipe import plan
 
 torch = needs("torch")

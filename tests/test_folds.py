@@ -12,10 +12,12 @@ from helpers.small_recipe import BALL, HEAD
 from typer.testing import CliRunner
 
 import tacgen
-from tacgen import cli, mechanics, pipeline
+from tacgen import mechanics
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import FOLDED, check
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.recipe import plan
 from tacgen.report import dataset_card, dataset_summary
 

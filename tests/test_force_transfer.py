@@ -12,7 +12,7 @@ from helpers.program import loaded
 from helpers.small_recipe import PICTURE
 from PIL import Image
 
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.bundle.bundle import read
 from tacgen.recipe import plan
 

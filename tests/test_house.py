@@ -16,16 +16,7 @@ PACKAGE = ROOT / "tacgen"
 
 # A package or a module of the top level imports only from those above it.
 LAYERS = [
-    "version",
-    "errors",
-    "regular_file",
-    "atomic_file",
-    "output_file",
-    "terminal",
-    "csv_table",
-    "array_cache",
-    "compiled",
-    "stage_clock",
+    "base",
     "physics",
     "fem",
     "geometry",
@@ -41,26 +32,19 @@ LAYERS = [
     "export",
     "report",
     "torch",
-    "doctor",
-    "pipeline",
     "batch",
     "api",
     "calibrate",
     "replay",
-    "cli_common",
-    "cli_calibrate",
-    "cli_look",
-    "cli_replay",
-    "cli_sensor",
     "cli",
     "__main__",
 ]
 # Numerics that know no recipe and no scene, in type hints either, and what they may import. Optics names the classes
 # of a sensor file in hints alone: it runs on anything that holds the same numbers.
 LIBRARIES = {
-    "physics": {"array_cache", "compiled", "terminal"},
-    "fem": {"compiled", "physics"},
-    "optics": {"compiled", "geometry"},
+    "physics": {"base.array_cache", "base.compiled", "base.terminal"},
+    "fem": {"base.compiled", "physics"},
+    "optics": {"base.compiled", "geometry"},
 }
 IN_HINTS = {"optics": {"sensor"}}
 ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
@@ -75,7 +59,7 @@ HOMES = {
         *("report.force_figure", "report.sheet", "report.viewer"),
     },
     "mpl_toolkits": {"report.bundle_figure"},
-    "h5py": {"bundle.hdf5_file", "bundle.pack", "doctor", "replay.array_log"},
+    "h5py": {"bundle.hdf5_file", "bundle.pack", "cli.doctor", "replay.array_log"},
     "cvxopt": {"mechanics.blas_kernels"},
     "pymetis": {"mechanics.linear_solvers"},
     "ruamel": {"sensor.yaml_source"},
@@ -83,8 +67,8 @@ HOMES = {
     "igl": {"geometry.exact_edges", "geometry.mesh_file", "geometry.mesh_import"},
     "pymeshlab": {"geometry.mesh_file"},
     "pytetwild": {"mechanics.ftetwild"},
-    "platformdirs": {"array_cache"},
-    "threadpoolctl": {"pipeline", "render.pictures", "mechanics.blas_kernels"},
+    "platformdirs": {"base.array_cache"},
+    "threadpoolctl": {"batch.pipeline", "render.pictures", "mechanics.blas_kernels"},
     "rich": {"report.progress"},
     "PIL": {"render.photograph", "bundle.image_file", "render.jpeg"},
     "distributed": {"batch.dask_engine"},
@@ -97,8 +81,8 @@ HOMES = {
 }
 # Who writes, replaces or deletes files, by what; all others go through `output_file`, `whole_folder` or `atomic_file`.
 WRITERS = {
-    "atomic_file": {"os.open", "os.replace", "os.unlink"},
-    "output_file": {"open", "os.replace", "unlink"},
+    "base.atomic_file": {"os.open", "os.replace", "os.unlink"},
+    "base.output_file": {"open", "os.replace", "unlink"},
     "bundle.whole_folder": {"rename", "rmtree"},
     "bundle.hdf5_file": {"h5py.File"},  # through a sink of atomic_file
     # beside bundles, after `journal.claimed` has refused what no run wrote
@@ -114,13 +98,13 @@ WRITERS = {
     "export.webdataset": {"ShardWriter"},
     "export.zarr": {"open_group"},
     # into memory
-    **{name: {"np.save", "np.savez"} for name in ("array_cache", "batch.solution_file", "export.__init__")},
+    **{name: {"np.save", "np.savez"} for name in ("base.array_cache", "batch.solution_file", "export.__init__")},
     "mechanics.ftetwild": {"np.savez"},
     # no files of a user's
-    "compiled": {"touch"},  # in the cache
+    "base.compiled": {"touch"},  # in the cache
     "physics.runtime": {"write_bytes"},  # in a temporary folder, from which Warp loads code
-    "regular_file": {"os.open"},  # to read
-    "terminal": {"os.open"},  # /dev/null
+    "base.regular_file": {"os.open"},  # to read
+    "base.terminal": {"os.open"},  # /dev/null
     "batch.worker_main": {"open"},  # of /proc
 }
 WRITES = {
@@ -133,14 +117,14 @@ WRITES = {
 }
 # Who writes at a path whatever is there, through `atomic_file`: each has asked before whether it may.
 REPLACE = {
-    *("output_file", "array_cache", "bundle.bundle", "bundle.journal", "bundle.pack", "bundle.whole_folder"),
-    *("batch.solution_file", "doctor", "export.vtkhdf", "export.univtac", "pipeline", "report.dataset_card"),
+    *("base.output_file", "base.array_cache", "bundle.bundle", "bundle.journal", "bundle.pack", "bundle.whole_folder"),
+    *("batch.solution_file", "cli.doctor", "export.vtkhdf", "export.univtac", "batch.pipeline", "report.dataset_card"),
 }
 # Who reads other than through `regular_file`, which refuses pipes and devices, and notes what is an input.
 READERS = {
-    "output_file": {"open"},  # what it has just written
+    "base.output_file": {"open"},  # what it has just written
     **{
-        name: {"np.load"} for name in ("array_cache", "mechanics.ftetwild", "replay.array_log")
+        name: {"np.load"} for name in ("base.array_cache", "mechanics.ftetwild", "replay.array_log")
     },  # from memory, or an open file
     **{name: {"Image.open"} for name in ("render.photograph", "render.jpeg")},
     "batch.solution_file": {"np.load"},  # of this run
@@ -149,12 +133,21 @@ READERS = {
     # of the installed package, or of the system
     **{name: {"read_text"} for name in ("report.catalogue", "report.html_page", "batch.worker_process")},
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
-    **{name: {"read_bytes"} for name in ("compiled", "physics.runtime")},
+    **{name: {"read_bytes"} for name in ("base.compiled", "physics.runtime")},
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 LINES_BESIDE = 5320  # of benchmarks/ and scripts/ together
 NOT_NUMPY = {
-    *("cli", "cli_calibrate", "cli_common", "cli_look", "cli_replay", "cli_sensor", "errors", "sensor.base_model"),
+    *(
+        "cli.main",
+        "cli.calibrate",
+        "cli.common",
+        "cli.look",
+        "cli.replay",
+        "cli.sensor",
+        "base.errors",
+        "sensor.base_model",
+    ),
     *("sensor.imperfections", "recipe.model", "sensor.layers", "sensor.model", "recipe.assets", "recipe.plan"),
     *("recipe.row", "recipe.sampling", "recipe.sensor_base", "recipe.sensor_checks", "recipe.usual_sizes"),
     *("recipe.loading", "sensor.optics_checks", "recipe.background_photo", "recipe.checks", "recipe.grasp_checks"),
@@ -166,7 +159,7 @@ NOT_NUMPY = {
 
 @cache
 def files() -> dict[str, Path]:
-    """Every module by its name below the package: `pipeline`, `fem.elements`."""
+    """Every module by its name below the package: `torch`, `fem.elements`."""
     return {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
@@ -253,12 +246,12 @@ def test_libraries_need_numerics_only() -> None:
 
 def test_the_key_of_compiled_code_covers_all_that_is_compiled_into_it():
     """Code is kept for one state of PACKAGES: compiled functions stand there, and take constants from there alone."""
-    from tacgen.compiled import PACKAGES
+    from tacgen.base.compiled import PACKAGES
 
     for name, path in files().items():
         if "@njit" in text_of(path) or "@vectorize" in text_of(path):
             ours = {layer(module) for module, top in imports(path) if module.startswith("tacgen.") and top}
-            assert {name.split(".")[0], *ours} <= {*PACKAGES, "compiled", "array_cache", "errors"}, name
+            assert {name.split(".")[0], *ours} <= {*PACKAGES, "base"}, name
 
 
 def test_heavy_packages_are_imported_in_their_modules_and_inside_functions() -> None:
@@ -315,7 +308,7 @@ def loaded_by(code: str) -> set[str]:
 
 def command(*args: str) -> str:
     run = f"try:\n    app({list(args)!r})\nexcept SystemExit as e:\n    assert not e.code"
-    return f"from tacgen.cli import app\n{run}"
+    return f"from tacgen.cli.main import app\n{run}"
 
 
 HEAVY = {"numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
@@ -407,7 +400,7 @@ def test_the_check_sees_a_bad_writer_and_reader(tmp_path: Path) -> None:
 def test_only_one_module_prints_results() -> None:
     """Which escapes control characters of names; messages go through `terminal.say`."""
     told = [name for name, path in files().items() for _, each in calls(path) if each in ("typer.echo", "click.echo")]
-    assert told == ["cli_common"]
+    assert told == ["cli.common"]
 
 
 def test_a_docstring_stands_alone() -> None:

@@ -8,9 +8,9 @@ import pytest
 from helpers.synthetic import write
 from typer.testing import CliRunner
 
-from tacgen import output_file
-from tacgen.cli import app
-from tacgen.errors import UserError
+from tacgen.base import output_file
+from tacgen.base.errors import UserError
+from tacgen.cli.main import app
 
 
 def command(*args: object) -> tuple[int, str]:

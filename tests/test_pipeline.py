@@ -18,17 +18,18 @@ from helpers.load_steps import watched
 from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
-from tacgen import mechanics, outputs, pipeline
+from tacgen import mechanics, outputs
+from tacgen.base.clock import Clock
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
-from tacgen.errors import UserError
 from tacgen.mechanics import cost_note, mesh
 from tacgen.mechanics.condensation import Condensation
 from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.sensor.imperfections import NOISE
-from tacgen.stage_clock import Clock
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
@@ -64,7 +65,7 @@ def test_threads_of_blas_change_no_byte(recipe: Path, tmp_path: Path) -> None:
     sets = ["quality=draft", "trajectory=[{press: {depth_mm: 0.4, frames: 1}}]"]
     program = f"""
 from pathlib import Path
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.recipe import plan
 pipeline.run_scene(plan.load(Path({str(recipe)!r}), {sets}).rows[0], Path({str(tmp_path / "two")!r}))
 """
@@ -81,7 +82,7 @@ def test_force_alone_imports_no_renderer_and_computes_no_stress(recipe: Path, tm
     program = f"""
 import sys
 from pathlib import Path
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.recipe import plan
 row = plan.load(Path({str(recipe)!r})).rows[0]
 print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
@@ -102,7 +103,7 @@ def test_images_of_a_clear_gel_do_not_import_mitsuba(tmp_path: Path) -> None:
     program = f"""
 import importlib.metadata, sys
 from pathlib import Path
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.recipe import plan
 sys.modules["mitsuba"] = sys.modules["drjit"] = None
 known = importlib.metadata.version
@@ -349,7 +350,7 @@ COMPILED = """
 import sys
 from pathlib import Path
 from numba.core import event
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.recipe import plan
 
 class Listener(event.Listener):

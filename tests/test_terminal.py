@@ -15,7 +15,7 @@ PROGRAM = """
 import sys
 from tacgen import batch
 batch.run.__kwdefaults__["task"] = "helpers.scenes:make"  # scenes in milliseconds
-from tacgen.cli import app
+from tacgen.cli.main import app
 sys.argv = ["tacgen", *sys.argv[1:]]
 app()
 """

@@ -10,9 +10,9 @@ from helpers.needs import needs
 from helpers.synthetic import write
 
 from tacgen import torch as reading
+from tacgen.base.errors import UserError
 from tacgen.bundle import bundle, pack
 from tacgen.bundle import dataset as source
-from tacgen.errors import UserError
 from tacgen.torch import TactileDataset, TactilePairs
 
 COUNT, FRAMES = 6, 12

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen import output_file, regular_file
+from tacgen.base import output_file, regular_file
+from tacgen.base.errors import LeftOut, UserError
 from tacgen.bundle import dataset, field_names, kept_files
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
@@ -16,7 +17,6 @@ from tacgen.bundle.caption import caption
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.hdf5_file import LARGEST
 from tacgen.bundle.kept_files import Folder
-from tacgen.errors import LeftOut, UserError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from tacgen import output_file
 from tacgen.api.frames import Frames, accepted
+from tacgen.base import output_file
+from tacgen.base.errors import UserError
 from tacgen.bundle import kept_files
 from tacgen.bundle.bundle import read
 from tacgen.bundle.resume import SceneResult
-from tacgen.errors import UserError
 from tacgen.recipe import assets, indenters, plan
 from tacgen.recipe.loading import read_sensor
 from tacgen.recipe.model import Dynamics, Render, Uncertainty
@@ -130,7 +130,7 @@ def simulate(
 
 def _made(row: Row, folder: Path) -> Path:
     """The bundle of a scene that is made in this process; what has to be compiled is compiled in two."""
-    from tacgen import pipeline
+    from tacgen.batch import pipeline
     from tacgen.batch.local import compiler_of
 
     with ExitStack() as helpers:

@@ -9,7 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError
+from tacgen.base.version import __version__
 from tacgen.batch import cuda_engine, dask_engine
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
@@ -17,9 +19,7 @@ from tacgen.bundle import dataset, journal
 from tacgen.bundle.bundle import read
 from tacgen.bundle.journal import Journal, Shard
 from tacgen.bundle.resume import SceneResult, existing
-from tacgen.errors import UserError
 from tacgen.recipe.plan import Plan
-from tacgen.version import __version__
 
 __all__ = ["ENGINES", "Limits", "run"]
 

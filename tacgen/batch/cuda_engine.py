@@ -21,17 +21,17 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tacgen.base.errors import UserError
+from tacgen.base.version import __version__
 from tacgen.batch import process_pool, solution_file
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle import resume
 from tacgen.bundle.resume import SceneResult
-from tacgen.errors import UserError
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.outputs import IMAGES
 from tacgen.recipe.row import Row
-from tacgen.version import __version__
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.engine import Solved
@@ -220,7 +220,7 @@ def usable_devices() -> list[str]:
 
 def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEvent | None = None) -> SceneResult:
     """As pipeline.run_scene, with the solution that there is for this scene."""
-    from tacgen import pipeline
+    from tacgen.batch import pipeline
 
     solution, device = solution_file.read(_place(folder, row)), None
     if solution is not None and solution.states:
@@ -230,7 +230,7 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEv
 
 def prepare(row: Row) -> None:
     """Make ready in this process for pictures like a row's, which takes seconds, while other processes solve it."""
-    from tacgen import pipeline  # noqa: F401  # with all that a scene needs
+    from tacgen.batch import pipeline  # noqa: F401  # with all that a scene needs
     from tacgen.recipe import pictures_of_row
     from tacgen.render import pictures
 

@@ -6,10 +6,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from tacgen.base.errors import UserError
 from tacgen.batch.local import OnEvent, Pool, failed, outcome
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle.resume import SceneResult
-from tacgen.errors import UserError
 from tacgen.recipe.row import Row
 
 CONNECT_S = 30  # longest wait for a scheduler

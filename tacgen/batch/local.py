@@ -9,14 +9,14 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+from tacgen.base.errors import UserError
 from tacgen.batch.scene_order import WINDOW, SceneOrder
 from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memory
 from tacgen.bundle.resume import SceneResult
-from tacgen.errors import UserError
 from tacgen.recipe.row import Row
 
-TASK = "tacgen.pipeline:run_scene"
-COMPILE = "tacgen.pipeline:compile_labels"  # in a second process, if there is a second core
+TASK = "tacgen.batch.pipeline:run_scene"
+COMPILE = "tacgen.batch.pipeline:compile_labels"  # in a second process, if there is a second core
 MAX_TRIES = 2  # a scene whose worker died this often is recorded as failed
 POLL_S = 0.2  # longest wait for messages, and interval of checks of the limits [s]
 BUSY_RETRY_S = 0.5  # delay before a scene that another run is making is tried again [s]

@@ -7,8 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+from tacgen.base.errors import UserError
 from tacgen.batch.local import TASK, OnEvent, Pool
-from tacgen.errors import UserError
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
 from tacgen.report.estimate import Cost, Made, cost, work

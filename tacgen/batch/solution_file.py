@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.mechanics.state import State
 

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from tacgen.base.errors import UserError
 from tacgen.batch.local import Pool
 from tacgen.batch.worker_process import cores
-from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 

@@ -17,8 +17,8 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from tacgen.atomic_file import Busy
-from tacgen.errors import UserError
+from tacgen.base.atomic_file import Busy
+from tacgen.base.errors import UserError
 
 # Freed memory that glibc keeps, and size from which it takes an array's from the system anew [bytes]. By its own limits
 # the pictures of a large sensor, some MB each, come back page by page: 22 instead of 13 ms a frame (9DTact, draft)

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError, printable
+from tacgen.base.version import __version__
 from tacgen.bundle.chunks import Column, FrameReader, rounded
 from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened, written_file
 from tacgen.bundle.scene_words import finger_text, shape_text
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, as_stored, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
-from tacgen.errors import UserError, printable
-from tacgen.version import __version__
 
 if TYPE_CHECKING:
     from tacgen.sensor.model import Sensor

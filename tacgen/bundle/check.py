@@ -10,11 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, kept_files
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import attributes, finite_problem
-from tacgen.errors import UserError
 from tacgen.recipe import approach
 from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parents_first, parse_path, put
 

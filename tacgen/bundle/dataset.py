@@ -15,11 +15,11 @@ from pathlib import Path
 
 from pydantic import NonNegativeInt
 
+from tacgen.base.errors import LeftOut, UserError
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.journal import read_plan
 from tacgen.bundle.stored_json import Name, Stored, Value
 from tacgen.bundle.stored_json import read as read_json
-from tacgen.errors import LeftOut, UserError
 
 INDEX = "index.json"
 PACK_FORMAT = 1

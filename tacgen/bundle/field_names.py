@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import LAYOUT
 
 PER_FRAME = ("/frames/", "/fields/")  # groups whose datasets have short names

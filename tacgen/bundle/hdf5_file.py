@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import regular_file
+from tacgen.base import regular_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.schema import FORMAT, entry, shape_problem
-from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, NonNegativeInt
 
-from tacgen import atomic_file, regular_file
+from tacgen.base import atomic_file, regular_file
+from tacgen.base.errors import UserError, why
 from tacgen.bundle import stored_json
 from tacgen.bundle.stored_json import Name, Stored, Value
-from tacgen.errors import UserError, why
 
 if TYPE_CHECKING:
     from tacgen.recipe.plan import Plan

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import output_file, regular_file
+from tacgen.base import output_file, regular_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.stored_json import parsed
-from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError
+from tacgen.base.version import __version__
 from tacgen.bundle import dataset, whole_folder
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.hdf5_file import opened, written_file
-from tacgen.errors import UserError
-from tacgen.version import __version__
 
 REOPENED = 100  # scenes copied before a shard is closed and opened again: HDF5 holds 20 to 50 kB a scene until then
 

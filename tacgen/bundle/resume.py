@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError
+from tacgen.base.version import __version__
 from tacgen.bundle import bundle, dataset
 from tacgen.bundle.hdf5_file import Damaged
-from tacgen.errors import UserError
 from tacgen.recipe.row import Row
-from tacgen.version import __version__
 
 SHOWN = 3  # differing inputs that a message names
 

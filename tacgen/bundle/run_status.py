@@ -8,12 +8,12 @@ from typing import Any
 
 from pydantic import NonNegativeFloat
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.journal import PlannedScene, read_journal, read_plan
 from tacgen.bundle.stored_json import Stored
 from tacgen.bundle.stored_json import read as read_json
-from tacgen.errors import UserError
 
 STATES = ("ok", "rejected", "failed", "damaged", "at work", "waiting")
 

@@ -3,9 +3,9 @@
 import hashlib
 from collections.abc import Sequence
 
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.dataset import contacts
-from tacgen.errors import UserError
 
 SPLITS = ("train", "val", "test")
 FRACTIONS = (0.8, 0.1, 0.1)  # shares of the contacts in each

@@ -6,9 +6,9 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
-from tacgen import regular_file
-from tacgen.csv_table import LARGEST_NUMBER
-from tacgen.errors import UserError, why
+from tacgen.base import regular_file
+from tacgen.base.csv_table import LARGEST_NUMBER
+from tacgen.base.errors import UserError, why
 
 LARGEST = 2**30  # bytes of a file
 T = TypeVar("T")

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import csv_table
+from tacgen.base import csv_table
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import UserError
 
 Array = np.ndarray
 

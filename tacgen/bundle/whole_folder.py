@@ -13,9 +13,9 @@ from pathlib import Path
 
 from pydantic import Field
 
-from tacgen import atomic_file, regular_file
+from tacgen.base import atomic_file, regular_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.stored_json import Stored, read
-from tacgen.errors import UserError
 
 LIST = ".tacgen-export.json"
 SMALL = 2**20  # [bytes] size of files up to which somebody may have edited them

@@ -10,10 +10,11 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from tacgen import array_cache, mechanics
+from tacgen import mechanics
+from tacgen.base import array_cache
+from tacgen.base.errors import UserError
 from tacgen.calibrate import press_faces
 from tacgen.calibrate.press_faces import DEEPEST, SHALLOWEST
-from tacgen.errors import UserError
 from tacgen.optics.surface_grid import Untouched
 from tacgen.outputs import gel_surface
 from tacgen.sensor.model import LitSensor

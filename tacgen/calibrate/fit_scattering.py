@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
+from tacgen.base.errors import UserError
 from tacgen.calibrate import press_faces
 from tacgen.calibrate import unseen as judging
 from tacgen.calibrate.likeness import ChangeLikeness
 from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.unseen import Fitted, Unseen, folds, rgb, rms
-from tacgen.errors import UserError
 from tacgen.optics import camera_response, scattering
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
+from tacgen.base.errors import UserError
 from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.unseen import rgb
-from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import heights

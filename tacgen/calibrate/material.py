@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.calibrate import fit_material, press_faces, press_forces
 from tacgen.calibrate.fit_material import MOST_FACTOR, MaterialFit
 from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
-from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 from tacgen.report import fit_figures

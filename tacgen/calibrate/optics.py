@@ -7,12 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.calibrate import fit_lights, fit_scattering
 from tacgen.calibrate import photos as reading
 from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.plausible import Evidence, SensorFit, digits, lit_sensor
 from tacgen.calibrate.unseen import Fitted
-from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath

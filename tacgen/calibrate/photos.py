@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import csv_table
-from tacgen.errors import UserError
+from tacgen.base import csv_table
+from tacgen.base.errors import UserError
 from tacgen.render import photograph
 from tacgen.sensor.model import Camera
 

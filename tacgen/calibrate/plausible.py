@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from tacgen import output_file
-from tacgen.errors import UserError
+from tacgen.base import output_file
+from tacgen.base.errors import UserError
 from tacgen.recipe import assets, loading, sensor_checks
 from tacgen.sensor import usual_values, yaml_source
 from tacgen.sensor.layers import Layer

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from tacgen import mechanics
+from tacgen.base.errors import UserError
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.errors import UserError
 from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from tacgen import csv_table, mechanics
+from tacgen import mechanics
+from tacgen.base import csv_table
+from tacgen.base.errors import UserError
 from tacgen.calibrate import press_faces
-from tacgen.errors import UserError
 from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.calibrate import ball_dents, fit_lights, fit_unit, plausible, press_colours, unseen
 from tacgen.calibrate import photos as reading
 from tacgen.calibrate.ball_dents import Dents, with_thickness
@@ -17,7 +18,6 @@ from tacgen.calibrate.photos import TABLE, GaugedPhotos, PhotographedPress, Phot
 from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
 from tacgen.calibrate.press_colours import PressPicture, PressView
 from tacgen.calibrate.unseen import Fitted
-from tacgen.errors import UserError
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Untouched
 from tacgen.recipe import assets

@@ -14,10 +14,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacgen import output_file, regular_file
+from tacgen.base import output_file, regular_file
+from tacgen.base.errors import UserError
 from tacgen.bundle import whole_folder
 from tacgen.bundle.dataset import CARDS
-from tacgen.errors import UserError
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tacgen.base.errors import LeftOut
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import task
 from tacgen.bundle.dataset import contacts, some
 from tacgen.bundle.dataset import role as role_of
 from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS, assigned
-from tacgen.errors import LeftOut
 from tacgen.export import names, poses
-from tacgen.output_file import add
 
 ALONE = "tactile"  # stands for the sensor in names of episodes with a single sensor
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
-from tacgen.output_file import add
 
 CHANNELS = {"radiance": "R G B", "height": "Z", "normals": "N.X N.Y N.Z", "material": "P.X P.Y"}
 

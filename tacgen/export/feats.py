@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs, needs_image, npy
-from tacgen.output_file import add
 
 GRID = (24, 32)
 SIGNS = (("x", -1.0), ("y", -1.0), ("z", 1.0))

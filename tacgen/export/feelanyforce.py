@@ -20,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.image_file import encoded
 from tacgen.bundle.splits import SPLITS, assigned
 from tacgen.export import IMAGE, needs, needs_image, npy
-from tacgen.output_file import add
 
 MM_PER_M = 1e3
 

@@ -27,14 +27,14 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.base.errors import UserError
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import MODE
 from tacgen.bundle.image_file import encoded
-from tacgen.errors import UserError
 from tacgen.export import needs
 from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, state_and_action, write_splits
 from tacgen.export.feats import shares
-from tacgen.output_file import add
 
 FPS = 10
 FILE_BYTES = 100_000_000  # size of a Parquet file, as in LeRobot

@@ -22,12 +22,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tacgen.base.errors import UserError
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import MODE, task
 from tacgen.bundle.image_file import encoded
-from tacgen.errors import UserError
 from tacgen.export import names
-from tacgen.output_file import add
 
 SUFFIX = ".rrd"
 MAPS = {"pressure": ["row", "column"], "traction": ["row", "column", "xy"], "height": ["row", "column"]}

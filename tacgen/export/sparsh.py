@@ -33,13 +33,13 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.base.errors import UserError
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import modes
 from tacgen.bundle.image_file import encoded
 from tacgen.bundle.splits import assigned
-from tacgen.errors import UserError
 from tacgen.export import needs, poses
-from tacgen.output_file import add
 
 SENSORS = ("digit", "gelsight")  # as Sparsh names them; sensors are told by how their names begin
 PICTURES = 5000  # in a file, as in Sparsh's own data sets

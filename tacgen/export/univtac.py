@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.hdf5_file import written_file
 from tacgen.bundle.image_file import encoded
 from tacgen.export import names, needs, poses
-from tacgen.output_file import add
 
 METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # factors that convert a pose from mm to m
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.hdf5_file import written_file
 from tacgen.export import names, needs

@@ -18,14 +18,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from tacgen.base.errors import UserError
+from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import MODE, modes
 from tacgen.bundle.image_file import encoded
 from tacgen.bundle.schema import UNITS
-from tacgen.errors import UserError
 from tacgen.export import names
 from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, write_splits
-from tacgen.output_file import add
 
 SHARD_BYTES = 1_000_000_000
 EVENTS = "/frames/events/"

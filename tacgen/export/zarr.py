@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS
-from tacgen.errors import UserError
 from tacgen.export.episodes import ALONE, Episode, common, episodes, state_and_action, write_splits
 
 FOLDER = "replay_buffer.zarr"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 
 Array = np.ndarray
 

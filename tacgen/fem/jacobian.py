@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
 
 Array = np.ndarray

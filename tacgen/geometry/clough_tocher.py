@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.fem.materials import Law
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.outline import Pad

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen import regular_file
-from tacgen.errors import UserError, why
+from tacgen.base import regular_file
+from tacgen.base.errors import UserError, why
 
 if TYPE_CHECKING:
     import trimesh

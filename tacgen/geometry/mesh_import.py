@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen import array_cache
-from tacgen.errors import UserError
+from tacgen.base import array_cache
+from tacgen.base.errors import UserError
 from tacgen.geometry.mesh_file import SolidMesh, read
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 
 Floats = NDArray[np.float64]
 

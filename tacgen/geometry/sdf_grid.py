@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.geometry.convex_edges import Convex
 
 Array = np.ndarray

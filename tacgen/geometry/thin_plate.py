@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.geometry.sdf_grid import spline_weights
 
 Array = np.ndarray

@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, lu_solve, solve_triang
 from scipy.linalg.blas import dsymv, dsyrk
 from scipy.linalg.lapack import dgetrf, dlauum, sgetrf, sgetrs
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.mechanics.linear_solvers import Cholmod, dissection
 

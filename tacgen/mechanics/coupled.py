@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact, barrier
 

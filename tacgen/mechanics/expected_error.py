@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.mechanics.face_overlap import FaceGrid, Overlap
 from tacgen.mechanics.scene import Scene
 

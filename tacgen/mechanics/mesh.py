@@ -8,8 +8,8 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from tacgen import array_cache
-from tacgen.errors import UserError
+from tacgen.base import array_cache
+from tacgen.base.errors import UserError
 from tacgen.fem.elements import boxes
 from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
 from tacgen.geometry.analytic_sdf import MAX_SLOPE

@@ -8,8 +8,8 @@ from importlib.metadata import version
 
 import numpy as np
 
-from tacgen import array_cache
-from tacgen.errors import UserError
+from tacgen.base import array_cache
+from tacgen.base.errors import UserError
 from tacgen.fem.elements import TET_EDGES, boxes, quadratic
 from tacgen.fem.mesh_quality import nodal_volume
 from tacgen.geometry import mesh_import

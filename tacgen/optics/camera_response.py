@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.optics.gaussian import blur
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.geometry.rasterize import seen
 from tacgen.optics import coating, strip_light
 from tacgen.optics.camera import PinholeCamera

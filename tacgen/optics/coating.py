@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.optics.mitsuba_dicts import diffuse
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.optics import coating, housing, strip_light
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Untouched

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 
 Floats = NDArray[np.float64]
 SUMS = {"contract", "nsz", "arcp", "reassoc"}  # flags of LLVM's fast math with which sums in loops are vectorised

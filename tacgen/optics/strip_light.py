@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tacgen.compiled import njit, vectorize
+from tacgen.base.compiled import njit, vectorize
 from tacgen.optics.housing import bottom_depth, frame
 from tacgen.optics.shadows import SUMS, Terrain, horizon
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.geometry.rasterize import Hits, point
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.shadows import SUMS, Terrain, horizon

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.compiled import njit
+from tacgen.base.compiled import njit
 from tacgen.optics.hertz_dent import BallDent
 
 if TYPE_CHECKING:

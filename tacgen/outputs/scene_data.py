@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.mechanics import Problem, State
 from tacgen.outputs import gel_surface
 from tacgen.sensor.model import Sensor

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from tacgen import terminal
+from tacgen.base import terminal
 
 # Inlining up to 1000 instructions doubles the speed of tangents; Warp's own limit, 9000, compiles for a minute.
 FLAGS = "-march=native -mllvm=-inline-threshold=1000 -mllvm=-slp-recursion-max-depth=4"

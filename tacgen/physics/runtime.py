@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from tacgen import array_cache, compiled
+from tacgen.base import array_cache, compiled
 
 MODULE = "tacgen.physics"  # of all kernels that a core runs
 

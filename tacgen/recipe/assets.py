@@ -6,8 +6,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from tacgen import regular_file
-from tacgen.errors import UserError, why
+from tacgen.base import regular_file
+from tacgen.base.errors import UserError, why
 
 PACKAGE = Path(__file__).resolve().parent.parent
 LARGEST = 2**30  # largest file that a recipe may name [bytes]

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import IMAGES
 from tacgen.recipe import assets
 from tacgen.recipe.model import Recipe

@@ -4,7 +4,7 @@ import math
 from contextlib import suppress
 from pathlib import Path
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import IMAGES, NAMES, OUTPUTS
 from tacgen.recipe import assets, background_photo, grasp_checks, trajectory_checks, usual_sizes
 from tacgen.recipe.indenters import Indenter

@@ -3,7 +3,7 @@
 import importlib.util
 import math
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import trajectory_checks
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Grasp, Recipe

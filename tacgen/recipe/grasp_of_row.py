@@ -5,7 +5,7 @@ See mechanics/grasp.py for the frames.
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry.pose import about
 from tacgen.mechanics.grasp import LOOKS, GraspScene, first_touch, seen_from
 from tacgen.mechanics.scene import Scene

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import IMAGES
 from tacgen.recipe import assets, checks, grasp_checks, sensor_checks
 from tacgen.recipe.model import Recipe

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.first_touch import ON_PLANE, contact_height, least_over, lowest_over
 from tacgen.geometry.pose import shortest_turn

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import IMAGES
 from tacgen.recipe import checks, loading, sensor_base, sensor_checks, usual_sizes
 from tacgen.recipe.loading import SOLID, Loaded, folders

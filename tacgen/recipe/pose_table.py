@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from tacgen import csv_table, regular_file
-from tacgen.errors import UserError, why
+from tacgen.base import csv_table, regular_file
+from tacgen.base.errors import UserError, why
 from tacgen.recipe.trajectory import Column, Quaternion, Vector, unit
 
 if TYPE_CHECKING:

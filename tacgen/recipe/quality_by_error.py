@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.mechanics.expected_error import Expected, expected_force_error
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe.checks import MAX_EDGE

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import approach
 from tacgen.recipe.row import Row
 

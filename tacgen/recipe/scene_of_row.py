@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import GelBody, GelLayer, SolidGel

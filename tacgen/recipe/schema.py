@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from tacgen import output_file, regular_file
-from tacgen.errors import UserError, printable, why
+from tacgen.base import output_file, regular_file
+from tacgen.base.errors import UserError, printable, why
 from tacgen.recipe import assets, loading
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor

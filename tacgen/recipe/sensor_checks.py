@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import assets, sensor_base
 from tacgen.sensor import optics_checks
 from tacgen.sensor.base_model import Axis

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import assets, pose_table
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe

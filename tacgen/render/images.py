@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from tacgen import array_cache
+from tacgen.base import array_cache
 from tacgen.optics import (
     adaptive_sampling,
     camera_response,

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from tacgen import array_cache
+from tacgen.base import array_cache
 
 CUDA, LLVM, SCALAR = "cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"
 LLVM_VERSIONS = (22, 21, 20, 19, 18, 17)  # newest first; older ones abort drjit 1.5

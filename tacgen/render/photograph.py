@@ -4,8 +4,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tacgen import regular_file
-from tacgen.errors import UserError, why
+from tacgen.base import regular_file
+from tacgen.base.errors import UserError, why
 
 if TYPE_CHECKING:
     import numpy as np

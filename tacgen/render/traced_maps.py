@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tacgen import array_cache
+from tacgen.base import array_cache
 from tacgen.optics import scattering
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent

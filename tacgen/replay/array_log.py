@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import regular_file
+from tacgen.base import regular_file
+from tacgen.base.csv_table import LARGEST_NUMBER
+from tacgen.base.errors import UserError, why
 from tacgen.bundle import hdf5_file
-from tacgen.csv_table import LARGEST_NUMBER
-from tacgen.errors import UserError, why
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import UNIT_TOLERANCE
 from tacgen.replay.contact_log import ORDERS, ContactLog, Conventions

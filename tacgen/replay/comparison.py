@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import csv_table, output_file
+from tacgen.base import csv_table, output_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import Placement

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import Column
 from tacgen.replay.layouts import LAYOUTS

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.errors import UserError, printable
+from tacgen.base.errors import UserError, printable
 from tacgen.recipe import pose_table
 from tacgen.replay import array_log
 from tacgen.replay.contact_log import ContactLog, Conventions

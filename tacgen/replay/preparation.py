@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import assets, loading, plan, scene_of_row
 from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Placement, Replay, Start

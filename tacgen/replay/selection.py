@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.first_touch import closest
 from tacgen.geometry.gel import GelBody

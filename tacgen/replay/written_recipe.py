@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import output_file
-from tacgen.errors import UserError, printable
+from tacgen.base import output_file
+from tacgen.base.errors import UserError, printable
 from tacgen.replay import comparison
 from tacgen.replay.contact_log import ContactLog
 from tacgen.sensor.yaml_source import quoted

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import UserError
 from tacgen.report.bundle_figure import (
     BELOW,
     FORCES,

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption, indenter_text, sensor_text
 from tacgen.bundle.force_error import force_error
-from tacgen.errors import UserError
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report.layers import has_arrows, limits, map_of
 from tacgen.report.sheet import Page, round_ticks

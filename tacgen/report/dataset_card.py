@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from tacgen import atomic_file, output_file
+from tacgen.base import atomic_file, output_file
+from tacgen.base.errors import UserError, printable
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.dataset import CARDS
-from tacgen.errors import UserError, printable
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.bundle import check, dataset, run_status
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.scene_words import shape_text
-from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.report.sheet import counted
 from tacgen.sensor.yaml_source import text_of

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen.base.errors import UserError
 from tacgen.bundle import kept_files, postprocess
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.stored_json import parsed
-from tacgen.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import, surface_nets
 from tacgen.geometry.surface_nets import Triangles
 from tacgen.outputs import DRAWN_MAPS

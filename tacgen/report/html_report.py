@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import output_file
+from tacgen.base import output_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
-from tacgen.errors import UserError
 from tacgen.report import dataset_summary, html_page, scene_pages, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview
 from tacgen.report.sheet import counted, round_ticks, short

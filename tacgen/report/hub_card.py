@@ -16,11 +16,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from tacgen.base.errors import LeftOut, printable
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.dataset import contacts
 from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS, assigned
-from tacgen.errors import LeftOut, printable
 from tacgen.export import EXPORTERS, lerobot
 from tacgen.export.episodes import episodes
 from tacgen.report import dataset_card, dataset_summary

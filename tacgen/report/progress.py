@@ -5,9 +5,9 @@ import sys
 import time
 from typing import Any, TextIO
 
-from tacgen.errors import printable
+from tacgen.base.errors import printable
+from tacgen.base.terminal import dropping
 from tacgen.report.sheet import duration
-from tacgen.terminal import dropping
 
 
 class Progress:

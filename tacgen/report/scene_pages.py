@@ -5,11 +5,11 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
-from tacgen import output_file
+from tacgen.base import output_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text, sensor_text
 from tacgen.bundle.force_error import force_error
-from tacgen.errors import UserError
 from tacgen.report import dataset_summary, html_page, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview, spread
 from tacgen.report.sheet import counted, short

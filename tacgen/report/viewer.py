@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tacgen import output_file
+from tacgen.base import output_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text, sensor_text
 from tacgen.bundle.check import UNIQUE
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
-from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report import html_page

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.sensor.yaml_source import TAGS, KeyPath, Mark, Tree, at, describe, format_path
 
 Model = TypeVar("Model", bound=BaseModel)

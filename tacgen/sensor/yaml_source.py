@@ -11,8 +11,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from tacgen import regular_file
-from tacgen.errors import UserError, why
+from tacgen.base import regular_file
+from tacgen.base.errors import UserError, why
 
 KeyPath = tuple[str | int, ...]
 LARGEST = 10_000_000  # largest file [bytes]

@@ -11,9 +11,10 @@ from helpers import synthetic
 from helpers.small_recipe import HEAD
 
 import tacgen
-from tacgen import api, pipeline
+from tacgen import api
+from tacgen.base.errors import LeftOut
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.errors import LeftOut
 from tacgen.outputs import LAYOUT
 from tacgen.recipe import plan
 

@@ -15,10 +15,10 @@ from helpers.needs import needs
 from helpers.small_recipe import HEAD, PRESS
 from threadpoolctl import threadpool_limits
 
-from tacgen import batch, mechanics, pipeline
-from tacgen.batch import cuda_engine, solution_file
+from tacgen import batch, mechanics
+from tacgen.base.errors import UserError
+from tacgen.batch import cuda_engine, pipeline, solution_file
 from tacgen.bundle.bundle import read
-from tacgen.errors import UserError
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solved_scene import SolvedScene

@@ -14,9 +14,9 @@ from helpers.needs import needs
 from helpers.scenes import made, make, make_plan, spoil
 
 from batch.test_local import digests, leftovers, run
+from tacgen.base.errors import UserError
 from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
-from tacgen.errors import UserError
 
 needs("distributed")
 TESTS = Path(__file__).parents[1]

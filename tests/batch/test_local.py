@@ -17,13 +17,13 @@ import pytest
 from helpers.scenes import TASK, made, make, make_plan, spoil
 
 from tacgen import batch
+from tacgen.base.errors import UserError
 from tacgen.batch import Limits, worker_main
 from tacgen.batch.local import Pool, compiler_of
 from tacgen.batch.worker_process import Worker
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import read_journal
 from tacgen.bundle.run_status import survey
-from tacgen.errors import UserError
 
 QUICK = Limits(silence_s=3.0)
 
@@ -263,7 +263,7 @@ def test_a_bundle_that_only_a_newer_tacgen_reads_is_not_written_over(tmp_path: P
 
 @pytest.mark.usefixtures("kept_workers")
 def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
-    from tacgen import atomic_file
+    from tacgen.base import atomic_file
 
     out = tmp_path / "out"
     run(out, samples=5)

@@ -7,10 +7,10 @@ import pytest
 from helpers.scenes import TASK, make_plan
 
 from tacgen import batch, export
+from tacgen.base.errors import LeftOut, UserError
 from tacgen.bundle import bundle, dataset
 from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
-from tacgen.errors import LeftOut, UserError
 from tacgen.recipe import plan
 from tacgen.report import dataset_card, dataset_summary
 from tacgen.torch import TactileDataset

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from helpers.scenes import TASK, make_plan, spoil
 
+from tacgen.base.errors import UserError
 from tacgen.batch import probe, worker_process
-from tacgen.errors import UserError
 
 
 @pytest.mark.usefixtures("kept_workers")

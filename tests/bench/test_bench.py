@@ -31,7 +31,7 @@ from benchmarks import (
 )
 from benchmarks.__main__ import main
 from benchmarks.cases import PLAIN
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import solver
 from tacgen.optics import camera_response

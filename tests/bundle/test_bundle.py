@@ -19,13 +19,13 @@ from helpers.synthetic import attributes, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError
 from tacgen.bundle import schema
 from tacgen.bundle.bundle import Unfinished, Writer, complete, read
 from tacgen.bundle.check import check
 from tacgen.bundle.chunks import rounded
 from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of
-from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 
 MAPS = ("/frames/normals", "/frames/radiance")

@@ -9,8 +9,8 @@ import pytest
 from helpers.synthetic import OUTPUTS, attributes, write
 from hostile.mutations import reseal
 
+from tacgen.base.errors import UserError
 from tacgen.bundle.check import check
-from tacgen.errors import UserError
 
 
 def lines(path: Path) -> list[str]:

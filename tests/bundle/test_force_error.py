@@ -8,9 +8,9 @@ from helpers.synthetic import write
 from typer.testing import CliRunner
 
 import tacgen
-from tacgen import cli
 from tacgen.bundle.bundle import read
 from tacgen.bundle.force_error import BY_INPUTS, BY_MESH, force_error
+from tacgen.cli import main as cli
 from tacgen.mechanics.expected_error import expected_force_error
 from tacgen.mechanics.face_overlap import Overlap
 

@@ -11,8 +11,8 @@ from helpers import small_recipe
 from helpers.synthetic import attributes
 
 import tacgen
-from tacgen import pipeline
 from tacgen.api.simulation import _tree
+from tacgen.batch import pipeline
 from tacgen.bundle import kept_files
 from tacgen.bundle.bundle import Writer, read
 from tacgen.bundle.caption import caption, indenter_text

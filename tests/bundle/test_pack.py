@@ -13,9 +13,9 @@ import pytest
 from helpers.synthetic import write
 
 from tacgen import export
+from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, pack, resume
 from tacgen.bundle.check import check
-from tacgen.errors import UserError
 from tacgen.report import dataset_summary
 
 COUNT = 5

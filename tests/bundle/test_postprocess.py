@@ -7,9 +7,9 @@ import pytest
 from helpers import small_recipe
 from helpers.synthetic import write
 
-from tacgen import pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle, postprocess
-from tacgen.errors import UserError
 
 PUNCH = "indenter={shape: cylinder, radius_mm: 3, fillet_mm: 0.8}", "quality={edge_mm: 1.2, dhat_mm: 0.05}"
 

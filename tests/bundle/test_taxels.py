@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from helpers import small_recipe
 
-from tacgen import pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import taxels
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.postprocess import wrench
-from tacgen.errors import UserError
 from tacgen.geometry.pose import about
 
 LAYOUTS = {

@@ -13,11 +13,11 @@ from PIL import Image
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from tacgen import cli
+from tacgen.base.errors import UserError
 from tacgen.calibrate import optics, photos, press_faces
 from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.likeness import Likeness
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.scattering import gain as response_of

@@ -7,9 +7,10 @@ import pytest
 from helpers.small_recipe import HEAD
 from typer.testing import CliRunner
 
-from tacgen import cli, mechanics
+from tacgen import mechanics
 from tacgen.calibrate import fit_material, press_forces
 from tacgen.calibrate.press_forces import Curves, Measured
+from tacgen.cli import main as cli
 from tacgen.mechanics import mesh
 from tacgen.recipe import assets, loading, plan, scene_of_row
 from tacgen.recipe.row import Row

@@ -15,11 +15,11 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import tacgen
-from tacgen import cli
+from tacgen.base.errors import UserError
 from tacgen.calibrate import ball_dents, material, optics, plausible, press_colours, press_forces, unit
 from tacgen.calibrate.plausible import Evidence, SensorFit
-from tacgen.cli_calibrate import calibrations
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
+from tacgen.cli.calibrate import calibrations
 from tacgen.recipe import loading
 
 from .test_calibrate import written

@@ -11,13 +11,13 @@ from PIL import Image
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from tacgen import cli
 from tacgen.calibrate import ball_dents, fit_unit, press_colours
 from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.ball_dents import SCALED, Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge
 from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.press_colours import PressView
+from tacgen.cli import main as cli
 from tacgen.recipe import loading
 from tacgen.sensor.model import LitSensor
 

@@ -10,11 +10,11 @@ from helpers.tiny import sensor
 from PIL import Image
 from typer.testing import CliRunner
 
-from tacgen import cli
+from tacgen.base.errors import UserError
 from tacgen.calibrate import fit_lights, optics, photos, press_faces, unseen
 from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.likeness import Likeness
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.mechanics import NotConverged
 from tacgen.recipe import loading
 

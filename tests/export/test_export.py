@@ -10,10 +10,10 @@ from helpers.needs import needs
 from helpers.synthetic import write
 from typer.testing import CliRunner
 
-from tacgen import cli
 from tacgen import export as exporting
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import read
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.export import EXPORTERS, export
 
 Array = np.ndarray

@@ -18,10 +18,10 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tacgen import export
+from tacgen.base.errors import LeftOut, UserError
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.bundle import Bundle, Writer, read
 from tacgen.bundle.caption import caption, task
-from tacgen.errors import LeftOut, UserError
 from tacgen.export import feats, lerobot
 from tacgen.torch import TactileDataset
 

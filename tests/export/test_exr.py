@@ -10,10 +10,10 @@ import pytest
 from helpers import synthetic, whole_bundle
 from helpers.small_recipe import PICTURE
 
-from tacgen import pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
-from tacgen.errors import UserError
 from tacgen.export import export
 from tacgen.export.exr import write
 from tacgen.optics import camera_response

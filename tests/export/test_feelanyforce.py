@@ -9,8 +9,8 @@ from helpers.export_scenes import FRAMES, SENSOR, SHAPE, real
 from helpers.synthetic import OUTPUTS, write
 from PIL import Image
 
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import UserError
 from tacgen.export import export
 
 LOW, HIGH, BIAS = -8.311515796355053, 27.03226967220051, 5  # by which it scales depths

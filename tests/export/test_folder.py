@@ -10,7 +10,7 @@ from helpers.export_scenes import SENSOR, SHAPE, needs_package_of, real
 from helpers.killing import DISK, calls
 from helpers.synthetic import OUTPUTS, write
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.export import EXPORTERS, export
 
 

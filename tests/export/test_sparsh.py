@@ -13,8 +13,8 @@ from helpers.export_scenes import FRAMES, real
 from helpers.synthetic import OUTPUTS, write
 from PIL import Image
 
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.errors import UserError
 from tacgen.export import export, sparsh
 from tacgen.torch import TactileDataset
 

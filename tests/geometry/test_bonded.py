@@ -11,9 +11,10 @@ from matplotlib.path import Path as Outline
 from scipy.spatial import Delaunay
 from typer.testing import CliRunner
 
-from tacgen import cli, pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.mechanics import mesh
 from tacgen.recipe import loading, plan, scene_of_row
 

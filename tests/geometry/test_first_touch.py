@@ -10,9 +10,10 @@ from helpers.flanged_rod import flanged
 from helpers.small_recipe import HEAD
 from typer.testing import CliRunner
 
-from tacgen import cli, pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.geometry import first_touch, mesh_file, mesh_import
 from tacgen.geometry.analytic_sdf import BoxSdf, CapsuleSdf, ConeSdf, CylinderSdf, SphereSdf, TorusSdf, WedgeSdf
 from tacgen.geometry.outline import Pad

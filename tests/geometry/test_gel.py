@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen import pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.errors import UserError
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
 from tacgen.recipe import loading, plan, scene_of_row

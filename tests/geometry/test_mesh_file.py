@@ -10,7 +10,7 @@ from helpers.meshes import ball, box, cells, saved
 from helpers.needs import needs
 from helpers.program import loaded
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import assets
 

@@ -9,7 +9,7 @@ import trimesh
 from helpers.meshes import ball, box, saved, truncated_cone
 
 from benchmarks import sharp
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_import
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.sdf_grid import Field

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from helpers.synthetic import write
-from tacgen import atomic_file
+from tacgen.base import atomic_file
+from tacgen.base.errors import UserError
 from tacgen.bundle import resume
-from tacgen.errors import UserError
 from tacgen.recipe import plan
 from tacgen.recipe.row import Row
 

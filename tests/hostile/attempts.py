@@ -25,11 +25,11 @@ from helpers.scenes import make, make_plan
 from helpers.synthetic import OUTPUTS, write
 
 from hostile.resealed import MUTATIONS
+from tacgen.base.errors import LeftOut, UserError
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import Journal, write_plan
-from tacgen.cli_common import writing
-from tacgen.errors import LeftOut, UserError
+from tacgen.cli.common import writing
 from tacgen.export import EXPORTERS
 from tacgen.recipe import plan_table
 from tacgen.replay import log_file
@@ -159,7 +159,7 @@ def command(*args: str) -> None:
     """A command in this process. Raises what it does not turn into an exit code."""
     from typer.testing import CliRunner
 
-    from tacgen import cli
+    from tacgen.cli import main as cli
 
     done = CliRunner().invoke(cli.app, list(args))
     if done.exception is not None and not isinstance(done.exception, SystemExit):

@@ -13,7 +13,8 @@ from helpers.killing import calls
 from helpers.scenes import make, make_plan
 
 from hostile.attempts import Attempt, contained
-from tacgen import array_cache, atomic_file, export
+from tacgen import export
+from tacgen.base import array_cache, atomic_file
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.journal import write_plan
 from tacgen.recipe import plan_table

@@ -23,12 +23,12 @@ from helpers.synthetic import attributes, write
 from hostile import attempts, kills
 from hostile.mutations import reseal
 from hostile.resealed import MUTATIONS
+from tacgen.base.errors import UserError
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import read
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import Journal
 from tacgen.bundle.run_status import survey
-from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.report import dataset_card, dataset_summary, field_figure, html_report
 

@@ -14,8 +14,9 @@ import pytest
 from helpers.small_recipe import BALL
 
 from hostile import attempts
-from tacgen import csv_table, replay
-from tacgen.errors import UserError
+from tacgen import replay
+from tacgen.base import csv_table
+from tacgen.base.errors import UserError
 from tacgen.recipe import plan
 from tacgen.replay import log_file
 from tacgen.replay.contact_log import Conventions

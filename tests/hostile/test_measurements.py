@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from hostile import attempts
 from hostile.mutations import damaged_input, files
-from tacgen import cli
+from tacgen.base.errors import UserError
 from tacgen.calibrate import press_forces
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 
 NUMBERS = (
     *("nan", "inf", "-inf", "", " ", "0", "-1", "1e308", "-1e308", "1e-308", "1e-9", "1e9", "3.99", "0.5,1", "x"),

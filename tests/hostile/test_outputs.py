@@ -18,10 +18,11 @@ from helpers.synthetic import OUTPUTS, attributes, write
 from typer.testing import CliRunner
 
 from hostile.attempts import LOG_TABLE
-from tacgen import atomic_file, batch, output_file, regular_file, replay
+from tacgen import batch, replay
+from tacgen.base import atomic_file, output_file, regular_file
+from tacgen.base.errors import UserError
 from tacgen.bundle.resume import SceneResult
-from tacgen.cli import app
-from tacgen.errors import UserError
+from tacgen.cli.main import app
 from tacgen.export import EXPORTERS, export
 from tacgen.recipe import assets
 from tacgen.replay import comparison

@@ -7,7 +7,7 @@ import pytest
 from helpers.small_recipe import HEAD
 from typer.testing import CliRunner
 
-from tacgen.cli import app
+from tacgen.cli.main import app
 from tacgen.geometry import first_touch
 from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, SphereSdf
 from tacgen.recipe import approach, assets, loading, plan, scene_checks

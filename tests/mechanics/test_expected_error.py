@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_import
 from tacgen.geometry.analytic_sdf import CapsuleSdf, ConeSdf, Shape, SphereSdf, TorusSdf, WedgeSdf
 from tacgen.geometry.mesh_file import SolidMesh

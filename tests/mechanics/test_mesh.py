@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.fem.elements import elements, facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import CapsuleSdf, SphereSdf, TorusSdf

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from helpers import small_recipe
 
-from tacgen import mechanics, pipeline
+from tacgen import mechanics
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle.bundle import read
-from tacgen.errors import UserError
 from tacgen.fem.materials import NeoHooke
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene

@@ -8,8 +8,8 @@ import pytest
 from helpers.presses import gel, poses, scene
 from helpers.small import block, tetrahedral
 
-from tacgen import array_cache
-from tacgen.errors import UserError
+from tacgen.base import array_cache
+from tacgen.base.errors import UserError
 from tacgen.fem.elements import TET_EDGES, elements, facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.mesh_quality import dihedral, nodal_volume, scaled_jacobian

@@ -7,7 +7,7 @@ import pytest
 from helpers import small_recipe
 from helpers.synthetic import attributes, write
 
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import Change, caption, changes, modes
 from tacgen.mechanics.barrier import Faces

@@ -5,13 +5,13 @@ import pytest
 from helpers import small_recipe
 from helpers.tiny import sensor
 
+from tacgen.base.errors import UserError
+from tacgen.batch.pipeline import run
 from tacgen.bundle import bundle
-from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.coating import centers
 from tacgen.outputs.fots_markers import FotsMarkers
-from tacgen.pipeline import run
 from tacgen.sensor.markers import Motion
 
 MOTION = Motion(press=(0.02, 0.05), shear=(0.5, 0.1), twist=(20.0, 0.1), source="test")

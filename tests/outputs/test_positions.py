@@ -7,7 +7,7 @@ import pytest
 from helpers import small_recipe
 
 import tacgen
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.optics.camera import PinholeCamera
 
 BALL = 2.5, -1.5  # x, y [mm]

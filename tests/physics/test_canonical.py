@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.recipe import assets, plan
 

@@ -11,10 +11,11 @@ from helpers.load_steps import watched
 from helpers.presses import Run, gel, poses
 from helpers.small_recipe import HEAD
 
-from tacgen import mechanics, pipeline
+from tacgen import mechanics
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
-from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics.scene import GelDynamics
 from tacgen.mechanics.solve_state import SolveState

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from helpers.flanged_rod import flanged
 
-from tacgen import pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
-from tacgen.errors import UserError
 from tacgen.geometry.pose import about
 from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.grasp_balance import Frame, Held, Mode, Trial, held, problem_of

@@ -9,7 +9,7 @@ from helpers import small_recipe
 from helpers.presses import run
 
 from tacgen import mechanics
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import scene_of_row
 
 pytestmark = pytest.mark.usefixtures("own_cache")

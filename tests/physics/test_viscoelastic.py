@@ -11,11 +11,12 @@ from helpers.small_recipe import HEAD
 from scipy.interpolate import PchipInterpolator
 from typer.testing import CliRunner
 
-from tacgen import mechanics, pipeline
+from tacgen import mechanics
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
-from tacgen.cli import app
-from tacgen.errors import UserError
+from tacgen.cli.main import app
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.gel import GelBody

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import assets
 
 ROOT = Path(__file__).parents[2]
@@ -83,7 +83,7 @@ def test_a_wheel_brings_its_sensors_and_recipes(tmp_path: Path):
     pip("wheel", "--no-deps", "--wheel-dir", str(tmp_path / "wheel"), ".")
     (wheel,) = (tmp_path / "wheel").iterdir()
     pip("install", "--no-deps", "--target", str(tmp_path / "site"), str(wheel))
-    code = "import tacgen.cli, sys; print(tacgen.cli.__file__); tacgen.cli.app()"
+    code = "import tacgen.cli.main, sys; print(tacgen.cli.main.__file__); tacgen.cli.main.app()"
     listed = subprocess.run(
         [sys.executable, "-c", code, "list"],
         env={"PYTHONPATH": str(tmp_path / "site"), "PATH": "/usr/bin:/bin"},

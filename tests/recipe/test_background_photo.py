@@ -8,9 +8,9 @@ from helpers.small_recipe import PICTURE
 from helpers.tiny import sensor
 from PIL import Image
 
-from tacgen import pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.errors import UserError
 from tacgen.optics import camera_response
 from tacgen.recipe import plan
 from tacgen.render.pictures import Backdrop

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import plan
 
 RECIPE = """

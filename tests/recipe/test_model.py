@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import NAMES
 from tacgen.recipe import assets, sensor_checks
 from tacgen.recipe.indenters import SHAPES

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from tacgen import cli
+from tacgen.cli import main as cli
 from tacgen.recipe import assets, loading, plan
 from tacgen.sensor.usual_values import assumed
 

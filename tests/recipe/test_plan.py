@@ -9,8 +9,8 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
+from tacgen.base.errors import UserError
 from tacgen.bundle import schema
-from tacgen.errors import UserError
 from tacgen.recipe import assets, plan, plan_table
 from tacgen.recipe.loading import Loaded, checked, read
 from tacgen.recipe.model import Recipe, Vary

@@ -10,10 +10,10 @@ import trimesh
 from helpers.small_recipe import HEAD
 from scipy.spatial.transform import Rotation
 
-from tacgen import pipeline
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
-from tacgen.errors import UserError
 from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import plan, pose_table, scene_of_row, trajectory_checks

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.reference_runs import row_of
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.expected_error import Expected
 from tacgen.mechanics.scene import Scene

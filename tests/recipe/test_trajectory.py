@@ -11,9 +11,10 @@ from helpers.small_recipe import HEAD
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tacgen import mechanics, pipeline
+from tacgen import mechanics
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import frames, mesh, presolve

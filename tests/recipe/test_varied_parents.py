@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.recipe.loading import read
 from tacgen.sensor.yaml_source import at, parse_path

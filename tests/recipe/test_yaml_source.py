@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.sensor.yaml_source import Mark, Source, Tree, edited, format_path, load, parse, parse_path
 
 TEXT = """\

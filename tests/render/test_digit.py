@@ -8,7 +8,7 @@ import pytest
 from helpers import small_recipe
 from helpers.presses import Run, run
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.fem.elements import elements, facet_areas
 from tacgen.fem.mesh_quality import scaled_jacobian
 from tacgen.geometry.gel import GelBody

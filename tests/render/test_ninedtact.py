@@ -9,7 +9,7 @@ from helpers import small_recipe
 from helpers.presses import run
 from ruamel.yaml import YAML
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.outputs import gel_surface
 from tacgen.recipe import assets, loading, scene_of_row, sensor_checks
 

@@ -16,7 +16,8 @@ from helpers.tiny import sensor
 from PIL import Image
 from threadpoolctl import threadpool_limits
 
-from tacgen import mechanics, pipeline
+from tacgen import mechanics
+from tacgen.batch import pipeline
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.mechanics import mesh
 from tacgen.mechanics.solved_scene import SolvedScene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 from tacgen.replay.contact_log import ContactLog, Conventions
 from tacgen.replay.log_file import read
 

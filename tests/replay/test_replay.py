@@ -11,10 +11,11 @@ from helpers.small_recipe import BALL
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
-from tacgen import pipeline, replay
+from tacgen import replay
+from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.bundle.bundle import read
-from tacgen.cli import app
-from tacgen.errors import UserError
+from tacgen.cli.main import app
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.indenters import Box, Mesh

@@ -10,8 +10,8 @@ from helpers.synthetic import write
 from PIL import Image
 from typer.testing import CliRunner
 
-from tacgen.cli import app
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
+from tacgen.cli.main import app
 from tacgen.report import animation
 
 

@@ -8,10 +8,10 @@ import pytest
 from helpers.synthetic import OUTPUTS, attributes, write
 from typer.testing import CliRunner
 
-from tacgen import cli
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import read
 from tacgen.bundle.force_error import BY_MESH, ForceError
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import assets, loading
 from tacgen.report import bundle_figure

@@ -8,9 +8,9 @@ from helpers.synthetic import write
 from matplotlib.collections import LineCollection
 from typer.testing import CliRunner
 
-from tacgen import cli
+from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import read
-from tacgen.errors import UserError
+from tacgen.cli import main as cli
 from tacgen.fem.elements import HEX_CORNERS
 from tacgen.report import field_figure
 from tacgen.report.plane_cut import crossed, cut, outline

@@ -13,10 +13,10 @@ from helpers.synthetic import attributes, write
 from typer.testing import CliRunner
 
 from tacgen import batch
+from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, pack, run_status
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.cli import app
-from tacgen.errors import UserError
+from tacgen.cli.main import app
 from tacgen.report import dataset_card, dataset_summary, html_report
 from tacgen.report.sheet import short
 

@@ -11,8 +11,8 @@ from helpers.synthetic import write
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from tacgen import cli
 from tacgen.bundle.bundle import read
+from tacgen.cli import main as cli
 from tacgen.export import export
 from tacgen.report import dataset_card, hub_card
 from tacgen.torch import TactileDataset

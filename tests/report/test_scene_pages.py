@@ -8,8 +8,8 @@ import pytest
 from helpers.synthetic import write
 from typer.testing import CliRunner
 
-from tacgen import cli
 from tacgen.bundle.bundle import read
+from tacgen.cli import main as cli
 from tacgen.report import scene_pages, viewer
 from tacgen.report.field_figure import FIELDS
 

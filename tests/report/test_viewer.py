@@ -17,9 +17,9 @@ from helpers.synthetic import attributes, write
 from PIL import Image
 from typer.testing import CliRunner
 
-from tacgen import pipeline
+from tacgen.batch import pipeline
 from tacgen.bundle.bundle import read
-from tacgen.cli import app
+from tacgen.cli.main import app
 from tacgen.recipe import plan
 from tacgen.report import viewer
 from tacgen.report.plane_cut import boundary

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tacgen import compiled
+from tacgen.base import compiled
 
 
 class Clock:

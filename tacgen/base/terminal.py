@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TextIO
 
-from tacgen.errors import printable
+from tacgen.base.errors import printable
 
 
 def open_standard_streams() -> None:

@@ -79,7 +79,7 @@ def _hdf5() -> Iterator[Diagnosis]:
     import h5py
     import numpy as np
 
-    from tacgen import atomic_file
+    from tacgen.base import atomic_file
     from tacgen.bundle import hdf5_file
 
     data = np.arange(12.0).reshape(3, 4)

@@ -28,7 +28,7 @@ from numba.core.cpu import CPUTargetOptions
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
-from tacgen import array_cache, atomic_file
+from tacgen.base import array_cache, atomic_file
 
 # with compiled functions; they use no other package's constants
 PACKAGES = ("physics", "fem", "optics", "geometry", "mechanics")
@@ -40,7 +40,7 @@ pickled: Callable[[Any], bytes] = dumps
 @cache
 def folder() -> Path:
     """The folder of the machine code of this source and this processor; NUMBA_CACHE_DIR overrides it."""
-    root, state = Path(__file__).parent, hashlib.sha256(Path(__file__).read_bytes())
+    root, state = Path(__file__).parents[1], hashlib.sha256(Path(__file__).read_bytes())
     for package in PACKAGES:
         for file in sorted((root / package).rglob("*.py")):
             state.update(file.read_bytes())

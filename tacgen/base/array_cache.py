@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import atomic_file, regular_file
+from tacgen.base import atomic_file, regular_file
 
 Array = np.ndarray
 LARGEST = 2**31  # largest entry [bytes]

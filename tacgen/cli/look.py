@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli_common import Bundles, Overwrite, tell, written
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
+from tacgen.cli.common import Bundles, Overwrite, tell, written
 
 
 def report(

@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from tacgen.cli_common import AsJson, Overwrite, plan_of, probe, show_result, warn, workers_of, writing
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
+from tacgen.cli.common import AsJson, Overwrite, plan_of, probe, show_result, warn, workers_of, writing
 
 
 def replay(

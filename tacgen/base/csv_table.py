@@ -5,8 +5,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from tacgen import regular_file
-from tacgen.errors import why
+from tacgen.base import regular_file
+from tacgen.base.errors import why
 
 LARGEST = 10_000_000  # [bytes]
 LARGEST_NUMBER = 1e100  # what is plotted and summed must not overflow

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli_common import AsJson, show_result, tell, warn
+from tacgen.cli.common import AsJson, show_result, tell, warn
 
 sensors = typer.Typer(no_args_is_help=True, help="Look at sensor files.")
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tacgen.cli_common import AsJson, Overwrite, allowed, show_result, written
+from tacgen.cli.common import AsJson, Overwrite, allowed, show_result, written
 
 if TYPE_CHECKING:
     from tacgen.calibrate.plausible import SensorFit

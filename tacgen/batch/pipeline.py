@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from tacgen import array_cache, atomic_file, compiled, mechanics
+from tacgen import mechanics
+from tacgen.base import array_cache, atomic_file, compiled
+from tacgen.base.clock import Clock
 from tacgen.bundle import bundle, kept_files, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import as_stored, finite_problem
@@ -27,7 +29,6 @@ from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
 from tacgen.recipe.row import Row
-from tacgen.stage_clock import Clock
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController

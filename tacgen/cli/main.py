@@ -9,8 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
-from tacgen.cli_calibrate import calibrations
-from tacgen.cli_common import (
+from tacgen.base.errors import UserError
+from tacgen.base.terminal import say
+from tacgen.base.version import __version__
+from tacgen.cli.calibrate import calibrations
+from tacgen.cli.common import (
     AsJson,
     Bundles,
     Overwrite,
@@ -26,13 +29,10 @@ from tacgen.cli_common import (
     workers_of,
     writing,
 )
-from tacgen.cli_look import report, show, view
-from tacgen.cli_replay import replay
-from tacgen.cli_sensor import sensors
-from tacgen.errors import UserError
+from tacgen.cli.look import report, show, view
+from tacgen.cli.replay import replay
+from tacgen.cli.sensor import sensors
 from tacgen.report.sheet import counted
-from tacgen.terminal import say
-from tacgen.version import __version__
 
 __all__ = ["app"]
 
@@ -345,7 +345,7 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Test what a run needs on this machine: packages, solvers, rendering, HDF5, threads, disk."""
-    from tacgen import doctor as checkup
+    from tacgen.cli import doctor as checkup
 
     findings = checkup.examine()
     if warm:

@@ -13,9 +13,9 @@ import click
 import typer
 from typer.core import TyperGroup
 
-from tacgen import output_file, regular_file
-from tacgen.errors import LeftOut, UserError, printable
-from tacgen.terminal import dropping, open_standard_streams, say
+from tacgen.base import output_file, regular_file
+from tacgen.base.errors import LeftOut, UserError, printable
+from tacgen.base.terminal import dropping, open_standard_streams, say
 
 Bundles = Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tacgen.errors import UserError
+from tacgen.base.errors import UserError
 
 # These names hold "tacgen", since files that match them are deleted: backup.tar.part-01 is a user's
 PART_MARK = ".tacgen-part-"  # in the name of an incomplete file: x.h5.tacgen-part-<pid>

@@ -14,8 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from tacgen import atomic_file, regular_file
-from tacgen.errors import UserError
+from tacgen.base import atomic_file, regular_file
+from tacgen.base.errors import UserError
 
 SIGNATURE = re.compile(rb"\n<!-- written by tacgen; sha256 of the text above: ([0-9a-f]{64}) -->\n\Z")
 LARGEST_PAGE = 2**28  # [bytes]

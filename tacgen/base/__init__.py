@@ -1,0 +1,1 @@
+"""Modules that all folders use: errors, files, the terminal, tables, caches, compiled code, clock, version."""
