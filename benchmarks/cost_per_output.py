@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, in_own_processes, peak_memory
 from tacgen.base.errors import UserError
-from tacgen.outputs import NAMES
+from tacgen.outputs import OUTPUT_NAMES
 
 ABOUT = (
     "A ball pressed and slid on the Mini at `draft`. Each line is a separate process on one core, while others run on"
@@ -27,7 +27,7 @@ BASE, SKIN = (
 )
 TWO_LAYERS = f"sensor.gel.layers=[{{{BASE}, {LAYER}}}, {{{SKIN}, {LAYER}}}]"
 ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
-    **{name: (name, ()) for name in NAMES},
+    **{name: (name, ()) for name in OUTPUT_NAMES},
     "force, no friction": ("force", ("contact.friction=0",)),
     "force, two layers": ("force", (TWO_LAYERS,)),
     "force, dynamics": ("force", ("dynamics={density_kg_m3: 1000, frame_s: 0.05}",)),
@@ -35,7 +35,7 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
     "rgb by path": ("rgb", ("render={method: path}",)),
     "rgb by table": ("rgb", ("render={method: table}",)),
     "markers, analytic": ("markers", ("markers={method: analytic}",)),
-    "everything": (", ".join(NAMES), ()),
+    "everything": (", ".join(OUTPUT_NAMES), ()),
 }
 # large packages, which a scene should load only if it needs them
 LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "pytetwild",

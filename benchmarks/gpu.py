@@ -38,7 +38,7 @@ from benchmarks.draws import drawn
 from benchmarks.reference_runs import forces_of, row_of, solve_frames
 from tacgen import mechanics
 from tacgen.base.errors import UserError
-from tacgen.batch.cuda_engine import CHUNK, MEMORY, solvers
+from tacgen.batch.cuda_engine import GPU_MEMORY_SHARE, MAX_PLANNED_SCENES, solvers
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.optics.adaptive_sampling import SamplingTolerance
@@ -183,7 +183,7 @@ def frames(told: argparse.Namespace) -> None:
     with watched() as board, ProcessPoolExecutor(told.processes, mp_context=SPAWN) as solving:
         for patient in (False, True):  # as `run` does
             some = [one for one in plans if one.number in late or not patient]
-            chunks = (some[k : k + CHUNK] for k in range(0, len(some), CHUNK))
+            chunks = (some[k : k + MAX_PLANNED_SCENES] for k in range(0, len(some), MAX_PLANNED_SCENES))
             parts = [[chunk[k] for k in part] for chunk in chunks for part in divided(chunk, told.processes)]
             found += solving.map(partial(batched, told=told, patient=patient), parts)
             late = {draw for one in found for draw in one.late}
@@ -219,7 +219,7 @@ def batched(plans: "list[Planned]", told: argparse.Namespace, patient: bool) -> 
     from tacgen.tensor_engine import device, pool
 
     torch.set_num_threads(1)
-    memory = device.chosen(told.device, MEMORY / told.processes)
+    memory = device.chosen(told.device, GPU_MEMORY_SHARE / told.processes)
     if not BEGUN:
         list(pool.solved(plans[: WARM["frames"]], told.device, memory=memory))
         BEGUN.append(time.time())

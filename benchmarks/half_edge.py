@@ -12,7 +12,7 @@ from benchmarks.results_page import Cell, Table, columns
 from tacgen import mechanics
 from tacgen.base.errors import UserError
 from tacgen.mechanics import mesh, presolve
-from tacgen.mechanics.expected_error import FACTOR, frame_error
+from tacgen.mechanics.expected_error import ERROR_ESTIMATE_FACTOR, frame_error
 from tacgen.recipe import scene_of_row
 
 EDGE_MM, DHAT_MM, LIMIT_S = 0.6, 0.05, 240.0  # of `draft`; longest processor time of a scene on the finer mesh [s]
@@ -55,13 +55,13 @@ def table(found: Sequence[Compared]) -> Table:
     for name in ["all", *sorted({one.shape for one in known})]:
         some = [one for one in known if name in (one.shape, "all")]
         error, told = (np.array([getattr(one, what) for one in some]) for what in ("error", "told"))
-        within = [float(np.mean(error <= times * told)) for times in (1, FACTOR)]
+        within = [float(np.mean(error <= times * told)) for times in (1, ERROR_ESTIMATE_FACTOR)]
         rows.append([name, len(some), float(np.median(error)), float(error.max()), float(np.median(told)), *within])
     heads = columns("shape", "scenes: d", "median: .1%", "worst: .1%", "told, median: .1%")
     heads |= columns("within what is told: .0%", "within twice: .0%")
     note = (
         f"At `draft`, edges of {EDGE_MM:g} mm, against {EDGE_MM / 2:g}: the frame with the largest force before a fold"
         f" on both. {len(found) - len(known)} of {len(found)} have none, or took too long. The told error is fitted to"
-        f" within a factor of {FACTOR}; against half the edge some 70 % of it can show."
+        f" within a factor of {ERROR_ESTIMATE_FACTOR}; against half the edge some 70 % of it can show."
     )
     return Table("Against half the edge", heads, rows, note)

@@ -179,7 +179,7 @@ def reference(name: str, face: str, shrink: int, how: Truth, variant: str) -> Re
     """A solved face and its traced images, from the cache if they are there."""
     sensor, surface, dots = solved(name, face, shrink)
     windows = chosen(sensor.camera, how.pixels) if how.pixels else ()
-    variant = mitsuba_variants.SCALAR if windows else variant  # others compile for each window
+    variant = mitsuba_variants.SCALAR_VARIANT if windows else variant  # others compile for each window
     kept = images.Renderer(sensor, 1, 0, dots, variant, "path")
     kept.light = Paths(sensor, dots, how.spp, variant, windows, True)
     return Reference(sensor, surface, dots, [kept.image(surface) for _ in range(how.parts)])

@@ -4,7 +4,7 @@ from dataclasses import astuple, dataclass, replace
 
 from benchmarks.reference_runs import DEPTHS, Answer, Error, answer, kept, sliding
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
-from tacgen.mechanics import DEFAULT, SolverOptions, plain, short_steps
+from tacgen.mechanics import DEFAULT_OPTIONS, SolverOptions, plain, short_steps
 
 ABOUT = (
     "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) in one frame and slid by 0.6 mm in two, with"
@@ -24,13 +24,13 @@ HEXES = {
 
 
 SOLVERS = {  # name: options of the solver
-    "as it is": DEFAULT,
-    "nothing predicted": replace(DEFAULT, predict=False),
-    "pressure not mixed": replace(DEFAULT, mixed_pressure=False),
-    "every tangent new": replace(DEFAULT, keep_tangent=False),
-    "load steps half as long": short_steps(DEFAULT, 2),
+    "as it is": DEFAULT_OPTIONS,
+    "nothing predicted": replace(DEFAULT_OPTIONS, predict=False),
+    "pressure not mixed": replace(DEFAULT_OPTIONS, mixed_pressure=False),
+    "every tangent new": replace(DEFAULT_OPTIONS, keep_tangent=False),
+    "load steps half as long": short_steps(DEFAULT_OPTIONS, 2),
 }
-FULL_SOLVERS = {"nothing condensed": replace(DEFAULT, condense=False), "plain": plain()}
+FULL_SOLVERS = {"nothing condensed": replace(DEFAULT_OPTIONS, condense=False), "plain": plain()}
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Variant:
     axis: str
     name: str
     sets: tuple[str, ...] = ()
-    options: SolverOptions = DEFAULT
+    options: SolverOptions = DEFAULT_OPTIONS
 
 
 def variants(level: Level) -> list[Variant]:
@@ -60,8 +60,10 @@ def variants(level: Level) -> list[Variant]:
 
 def _tolerances(times: float) -> SolverOptions:
     """Options with the usual tolerances multiplied by `times`."""
-    step, residual, most = DEFAULT.step_tol, DEFAULT.residual_tol, DEFAULT.residual_max
-    return replace(DEFAULT, step_tol=times * step, residual_tol=times * residual, residual_max=max(times, 1.0) * most)
+    step, residual, most = DEFAULT_OPTIONS.step_tol, DEFAULT_OPTIONS.residual_tol, DEFAULT_OPTIONS.residual_max
+    return replace(
+        DEFAULT_OPTIONS, step_tol=times * step, residual_tol=times * residual, residual_max=max(times, 1.0) * most
+    )
 
 
 def bench(level: Level, say: Say) -> Result:

@@ -79,7 +79,7 @@ class Outcome:
 
 
 def measure(
-    draw: Draw, quality: str, compared: bool, limit: float = LIMIT_S, options: SolverOptions = mechanics.DEFAULT
+    draw: Draw, quality: str, compared: bool, limit: float = LIMIT_S, options: SolverOptions = mechanics.DEFAULT_OPTIONS
 ) -> Outcome:
     """Solve a scene in at most `limit` processor seconds; if `compared` and ok, also in short frames."""
     try:
@@ -148,12 +148,14 @@ def bench(level: Level, say: Say) -> Result:
     draws = [drawn(i) for i in range(SCENES[level])]
     quality = SMOKE if level == "smoke" else "draft"
     jobs = [
-        (BALL, quality, True, mechanics.DEFAULT),
-        *((draw, quality, i % COMPARED == 0, mechanics.DEFAULT) for i, draw in enumerate(draws)),
+        (BALL, quality, True, mechanics.DEFAULT_OPTIONS),
+        *((draw, quality, i % COMPARED == 0, mechanics.DEFAULT_OPTIONS) for i, draw in enumerate(draws)),
     ]
-    jobs += [(draw, "default", False, mechanics.DEFAULT) for draw in draws[:DEFAULT_SCENES] if level == "full"]
+    jobs += [(draw, "default", False, mechanics.DEFAULT_OPTIONS) for draw in draws[:DEFAULT_SCENES] if level == "full"]
     whole, few = len(jobs), draws[: ABLATED_SCENES[level]]
-    jobs += [(draw, quality, False, replace(mechanics.DEFAULT, **off)) for off in ABLATIONS.values() for draw in few]
+    jobs += [
+        (draw, quality, False, replace(mechanics.DEFAULT_OPTIONS, **off)) for off in ABLATIONS.values() for draw in few
+    ]
     found = list[Outcome]()
     with cores(level) as every:
         for one in every(_job, jobs):

@@ -66,10 +66,10 @@ def bench(level: Level, say: Say) -> Result:
 
 def row(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> Any:
     """The scene with these outputs, `EVERYTHING` or a list of names."""
-    from tacgen.outputs import NAMES
+    from tacgen.outputs import OUTPUT_NAMES
     from tacgen.recipe import assets, plan
 
-    names = ", ".join(n for n in NAMES if n != "markers" or sensor in MARKED) if asked == EVERYTHING else asked
+    names = ", ".join(n for n in OUTPUT_NAMES if n != "markers" or sensor in MARKED) if asked == EVERYTHING else asked
     moves = MOVES.format(depth=DEPTHS[sensor], n=frames)
     sets = (f"sensor={sensor}", *BALL, moves, f"quality={quality}", f"outputs=[{names}]")
     return plan.load(assets.recipe_path("quickstart"), sets).rows[0]

@@ -229,7 +229,7 @@ def population(say: Say) -> Table:
     found: list[list[Cell]] = []
     for name, file in FILES.items():
         presses, flat, deepest = real[name]
-        own = drawn(sensor_of(file), likeness.DENTS, 0, deepest)
+        own = drawn(sensor_of(file), likeness.TRAINING_DENTS, 0, deepest)
         seen = [(unit, one) for unit, made in dents for one in made if one.steepest <= deepest]
         others, every = [one for unit, one in seen if unit != file], [one for _, one in seen]
         cells: list[Cell] = [name, len(presses), flat]

@@ -125,7 +125,7 @@ def solve_frames(made: Scene, problem: mechanics.Problem, limit: float = math.in
     return Frames(states, ends, time.process_time() - start, status, reason)
 
 
-def answer(sets: tuple[str, ...], options: mechanics.SolverOptions = mechanics.DEFAULT) -> Answer:
+def answer(sets: tuple[str, ...], options: mechanics.SolverOptions = mechanics.DEFAULT_OPTIONS) -> Answer:
     """Solve the quickstart with changes and take its labels."""
     row = row_of(sets)
     made = presolve.presolved(scene_of_row.build(row))

@@ -133,7 +133,7 @@ def _processor() -> str:
 def one_thread() -> dict[str, str]:
     """The environment of a process that uses one core and can import the benchmarks."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return os.environ | dict.fromkeys(worker_process.THREADS, "1") | {"PYTHONPATH": path}
+    return os.environ | dict.fromkeys(worker_process.THREAD_VARIABLES, "1") | {"PYTHONPATH": path}
 
 
 def in_own_process(target: str, *args: Any, env: dict[str, str] | None = None) -> Any:

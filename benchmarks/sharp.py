@@ -15,7 +15,7 @@ from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, co
 from tacgen import mechanics
 from tacgen.base.errors import UserError
 from tacgen.mechanics import mesh
-from tacgen.mechanics.expected_error import FACTOR, Expected
+from tacgen.mechanics.expected_error import ERROR_ESTIMATE_FACTOR, Expected
 from tacgen.recipe import scene_of_row
 
 if TYPE_CHECKING:
@@ -203,7 +203,9 @@ def rows(case: Case, found: dict[str, Found], analytic: float) -> list[list[Cell
     out: list[list[Cell]] = []
     for quality, one in found.items():
         error = one.force / reference - 1
-        within = one.reason[:60] or ("yes" if abs(error) < FACTOR * one.expected else "no") * (quality != "half")
+        within = one.reason[:60] or ("yes" if abs(error) < ERROR_ESTIMATE_FACTOR * one.expected else "no") * (
+            quality != "half"
+        )
         work = one.iterations, one.seconds
         out.append([case.name, case.depth, quality, one.force, error, one.expected, within, *work, analytic])
     return out

@@ -42,7 +42,7 @@ from torch.nn import functional as F
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.splits import divide
-from tacgen.outputs.events import MODES
+from tacgen.outputs.events import CONTACT_MODES
 from tacgen.report import force_ranges
 from tacgen.torch import TactileDataset
 
@@ -64,7 +64,7 @@ class Network(nn.Module):
         self.up = nn.ModuleList(nn.Conv2d(a, b, 3, 1, 1) for a, b in ((64 + 32, 16), (16 + 16, 8), (8, 3)))
         self.flat = nn.Sequential(nn.Flatten(), nn.Dropout(0.3), nn.LazyLinear(64))
         self.all = nn.Sequential(nn.Linear(3 * 64, 96), nn.ReLU(), nn.Dropout(0.2))
-        self.heads = nn.ModuleDict({"force": nn.Linear(96, 3), "mode": nn.Linear(96, len(MODES))})
+        self.heads = nn.ModuleDict({"force": nn.Linear(96, 3), "mode": nn.Linear(96, len(CONTACT_MODES))})
         self.heads["shape"] = nn.Linear(96, shapes)
 
     def forward(self, image: torch.Tensor) -> Frames:
@@ -263,7 +263,7 @@ def draw(sheet: Figure, panels: list[Axes], said: Frames, true: Frames, shapes: 
         panels[k].plot(true["force"][:, k], said["force"][:, k], ".", color="#0072b2", markersize=3)
         panels[k].axline((0, 0), slope=1, color="#808080", linewidth=0.8)
         panels[k].set(title=f"$F_{name}$", xlabel="true [N]", ylabel="predicted [N]")
-    for panel, name, words in ((panels[3], "mode", MODES), (panels[4], "shape", shapes)):
+    for panel, name, words in ((panels[3], "mode", CONTACT_MODES), (panels[4], "shape", shapes)):
         here = true["mode"] > 0 if name == "shape" else slice(None)
         count = np.zeros((len(words), len(words)))
         np.add.at(count, (true[name][here].numpy(), said[name][here].numpy()), 1)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, UNITS
+from tacgen.bundle.schema import BUNDLE_ATTRS, BUNDLE_FORMAT, OPTIONAL_ATTRS, UNIT_SYSTEM
 from tacgen.outputs import OUTPUTS
 from tacgen.outputs.base import Entry
 
@@ -19,7 +19,7 @@ def _line(path: str, row: Entry) -> str:
 
 def page() -> str:
     """The text of docs/BUNDLE.md."""
-    lines = [PROSE.read_text().rstrip().replace("{FORMAT}", str(FORMAT)).replace("{UNITS}", UNITS)]
+    lines = [PROSE.read_text().rstrip().replace("{FORMAT}", str(BUNDLE_FORMAT)).replace("{UNITS}", UNIT_SYSTEM)]
     told: set[str] = set()
     for name, output in OUTPUTS.items():
         lines += ["", f"### `{name}`", "", f"{output.text[0].upper()}{output.text[1:]}.", ""]
@@ -27,8 +27,8 @@ def page() -> str:
         lines += [_line(path, row) for path, row in output.rows.items() if path not in told]
         told |= output.rows.keys()
     lines += ["", "## Attributes of the file", "", "| name | type | what |", "|---|---|---|"]
-    lines += [f"| `{name}` | {kind.__name__} | {text} |" for name, (kind, text) in ATTRS.items()]
-    lines += [f"| `{name}` (optional) | {kind.__name__} | {text} |" for name, (kind, text) in OPTIONAL.items()]
+    lines += [f"| `{name}` | {kind.__name__} | {text} |" for name, (kind, text) in BUNDLE_ATTRS.items()]
+    lines += [f"| `{name}` (optional) | {kind.__name__} | {text} |" for name, (kind, text) in OPTIONAL_ATTRS.items()]
     return "\n".join(lines) + "\n"
 
 

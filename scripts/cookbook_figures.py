@@ -16,7 +16,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.geometry.pose import Pose
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
-from tacgen.report.bundle_figure import LINES, image_size, scale_of, window_of
+from tacgen.report.bundle_figure import FORCE_COLOURS, image_size, scale_of, window_of
 
 COLOURS = {"sticks": "#0b6fa4", "friction used": "#c2571a"}
 HEIGHT, DPI = 1.6, 100  # of a panel [inches]; pixels an inch
@@ -81,7 +81,7 @@ def uncertainty(bundle: Bundle) -> Figure:
     sheet = Figure(figsize=(9.4, 3.0), layout="constrained")
     curve, parts, map_ = sheet.subplots(1, 3, width_ratios=(1.2, 0.8, 1.1))
     force, sure, last = bundle["/frames/force"], bundle["/frames/uncertainty/force"], bundle.frames - 1
-    for k, (name, colour) in enumerate(LINES.items()):
+    for k, (name, colour) in enumerate(FORCE_COLOURS.items()):
         curve.plot(force[:, k], "o-", color=colour, markersize=3, label=name)
         low, high = (force[:, k] + side * NINETY * sure[:, k] for side in (-1, 1))
         curve.fill_between(np.arange(bundle.frames), low, high, color=colour, alpha=0.25, linewidth=0)

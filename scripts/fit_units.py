@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
 from tacgen.calibrate import optics, press_faces, unseen  # noqa: E402
-from tacgen.calibrate.fit_lights import RIDGES, Fits  # noqa: E402
+from tacgen.calibrate.fit_lights import TOLERANCE_RIDGES, Fits  # noqa: E402
 from tacgen.calibrate.light_equations import FitLimits  # noqa: E402
 from tacgen.calibrate.photos import Photos  # noqa: E402
 from tacgen.calibrate.plausible import digits, write_sensor  # noqa: E402
@@ -31,7 +31,7 @@ ORIGIN = {
     "gelsight_mini_unit2": "skleff1994/gs_sdk",
     "gelsight_mini_dotted": "yepengfei81-cpu/gelsight_gripper_controller",
 }
-RIDGE = RIDGES[1]  # the shipped file's own fit chose it by presses that it had not seen
+RIDGE = TOLERANCE_RIDGES[1]  # the shipped file's own fit chose it by presses that it had not seen
 ROTATED = 5.0  # largest rotation of an LED [deg]
 
 
@@ -63,7 +63,7 @@ def main() -> None:
         found = fit(sensor, unit, asked.tolerance_mm, asked.steps)
         said = f"an untouched picture and {len(unit.presses)} presses of another unit ({ORIGIN[folder]})"
         changes = optics.changes_of(sensor, found, said, bare=True)
-        told = {key: text.replace(optics.BY, "by scripts/fit_units.py") for key, text in changes.items()
+        told = {key: text.replace(optics.OPTICS_SOURCE, "by scripts/fit_units.py") for key, text in changes.items()
                 if key[-1] == "source"}  # fmt: skip
         what = f"GelSight Mini, lights fitted to photographs of a {name.rpartition('_')[2]} unit, no markers"
         write_sensor(

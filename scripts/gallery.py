@@ -27,7 +27,7 @@ PANEL, GAP, LEFT, TITLE = 1.5, 0.05, 0.55, 0.3  # sizes of a panel, gap, left ma
 PATHS_HEIGHT = 2.4  # of a picture in the sheet of paths [inch]
 DPI, WEBP = 110, 70  # resolution [pixels an inch]; WebP quality [%]
 GREY, CONTRAST = 128, 4  # [counts]: of no difference; how much stronger differences are shown
-VON_MISES = field_figure.SECTIONS[-1:]
+VON_MISES = field_figure.STRESS_SECTIONS[-1:]
 Column = tuple[str, Bundle, int | None]  # indenter, its scene, the frame shown (None: not reached)
 
 
@@ -60,7 +60,7 @@ def columns(bundles: list[Bundle], movement: str) -> list[Column]:
 def sheet(scenes: list[Column]) -> Figure:
     """All indenters of one sensor and movement."""
     image = bundle_figure.image_size(scenes[0][1])
-    heights = [PANEL * image[0] / image[1]] * 3 + [PANEL * field_figure.FLAT]
+    heights = [PANEL * image[0] / image[1]] * 3 + [PANEL * field_figure.SECTION_HEIGHT_RATIO]
     blocks = [scenes[start : start + ACROSS] for start in range(0, len(scenes), ACROSS)]
     tall = TITLE + sum(heights) + GAP * len(heights)
     size = LEFT + ACROSS * (PANEL + GAP), len(blocks) * tall
@@ -131,7 +131,7 @@ def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
     """The text about a sensor before its sheets."""
     made = read_sensor(assets.sensor_path(sensor))[0]
     wide, high = (made.camera.mm_per_px * n for n in (made.camera.width_px, made.camera.height_px))
-    section = field_figure.WIDE * np.ptp(bundles[0]["/mesh/points"][:, 2])
+    section = field_figure.SECTION_WIDTH_RATIO * np.ptp(bundles[0]["/mesh/points"][:, 2])
     size = f"Camera pictures are {wide:.1f} x {high:.1f} mm, sections {section:.1f} mm wide."
     lines = [f"## {sensor}", "", f"{made.description}. {size}", ""]
     rejected = [b for b in bundles if b.attrs["status"] != "ok"]

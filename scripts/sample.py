@@ -30,7 +30,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.pack import pack
 from tacgen.bundle.splits import SPLITS, assigned
 from tacgen.export.feats import shares
-from tacgen.outputs.contact_modes import MODES
+from tacgen.outputs.contact_modes import CONTACT_MODES
 from tacgen.recipe import assets, loading
 from tacgen.report import dataset_summary, hub_card
 from tacgen.sensor.yaml_source import dumped, edited
@@ -92,7 +92,7 @@ def cells_of(image: np.ndarray) -> tuple[int, int]:
 
 def targets(part: Frames) -> np.ndarray:
     """Force and the modes as ones and zeros (n, 3 + modes)."""
-    return np.hstack([part["force"], np.eye(len(MODES))[part["mode"]]])
+    return np.hstack([part["force"], np.eye(len(CONTACT_MODES))[part["mode"]]])
 
 
 def fitted(part: Frames, penalty: float) -> np.ndarray:
@@ -122,7 +122,7 @@ def baseline(data: Path) -> dict[str, dict[str, dict[str, float]]]:
     for sensor, known in train.items():
         off = {float(p): np.mean((said(fitted(known, p), val[sensor]) - targets(val[sensor])) ** 2) for p in PENALTIES}
         weights = fitted(known, min(off, key=lambda p: off[p]))
-        guess = np.broadcast_to(targets(known).mean(0), (len(test[sensor]["force"]), 3 + len(MODES)))
+        guess = np.broadcast_to(targets(known).mean(0), (len(test[sensor]["force"]), 3 + len(CONTACT_MODES)))
         scores[sensor] = {
             "linear": errors(said(weights, test[sensor]), test[sensor]),
             "guess": errors(guess, test[sensor]),

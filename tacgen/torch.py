@@ -21,15 +21,16 @@ import numpy as np
 
 from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, field_names
-from tacgen.bundle.check import UNIQUE
+from tacgen.bundle.check import UNIQUE_PATH
 from tacgen.bundle.chunks import FrameReader
 from tacgen.bundle.hdf5_file import item_at, open_file
-from tacgen.bundle.splits import FRACTIONS, divide
+from tacgen.bundle.splits import SPLIT_FRACTIONS, divide
 from tacgen.outputs import LAYOUT
 
 Item = dict[str, Any]
-OPEN_FILES = 128  # most open files in each process
-SMALL = 1024  # bytes of a frame up to which a dataset is read for a whole scene at once and kept in memory
+MAX_OPEN_FILES = 128  # most open files in each process
+# bytes of a frame up to which a dataset is read for a whole scene at once and kept in memory
+MAX_CACHED_FRAME_BYTES = 1024
 
 
 class TactileDataset:
@@ -63,7 +64,7 @@ class TactileDataset:
         *,
         merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
-        fractions: tuple[float, float, float] = FRACTIONS,
+        fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
         seed: int = 0,
         unique: bool = False,
         subtract_reference: bool = False,
@@ -79,7 +80,7 @@ class TactileDataset:
             except UserError as error:
                 raise UserError(f"{place}: {error}") from None
         self.subtract_reference, self.transform = subtract_reference, transform
-        each = [np.flatnonzero(scene[UNIQUE]) if unique else np.arange(scene.frames) for scene in self.scenes]
+        each = [np.flatnonzero(scene[UNIQUE_PATH]) if unique else np.arange(scene.frames) for scene in self.scenes]
         self._frame = np.concatenate([*each, np.zeros(0, np.int64)])
         self.left_out = sum(scene.frames for scene in self.scenes) - len(self._frame)
         self._starts = np.concatenate([[0], np.cumsum([len(frames) for frames in each])]).astype(int)
@@ -124,7 +125,7 @@ class TactileDataset:
 
     def _values(self, number: int, name: str, path: str, frame: int) -> np.ndarray:
         shape = self.scenes[number].shapes[path]
-        if math.prod(shape[1:]) * np.dtype(LAYOUT[path].dtype).itemsize <= SMALL:
+        if math.prod(shape[1:]) * np.dtype(LAYOUT[path].dtype).itemsize <= MAX_CACHED_FRAME_BYTES:
             values: np.ndarray = self._whole(number, path)[frame]
         else:
             values = self._read(number, path, frame)
@@ -149,7 +150,7 @@ class TactileDataset:
     def _stored(self, path: Path, inside: str) -> FrameReader:
         """A dataset of an open file; if too many files are open, the least recently used one is closed."""
         if path not in self._files:
-            if len(self._files) >= OPEN_FILES:
+            if len(self._files) >= MAX_OPEN_FILES:
                 self._files.popitem(last=False)[1][0].close()
             self._files[path] = (open_file(path), {})
         self._files.move_to_end(path)
@@ -182,7 +183,7 @@ class TactilePairs:
         sensors: Sequence[str] | None = None,
         merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
-        fractions: tuple[float, float, float] = FRACTIONS,
+        fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
         seed: int = 0,
         subtract_reference: bool = False,
         transform: Callable[[Item], Any] | None = None,

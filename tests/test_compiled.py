@@ -77,7 +77,7 @@ def dispatcher(value: Any) -> Any:
 def test_what_compiled_functions_call_is_not_kept():
     """Else the code of a function depends on what was kept before: by a run that was killed, or by another at once."""
     callers, called = 0, set[str]()
-    for package in compiled.PACKAGES:
+    for package in compiled.COMPILED_PACKAGES:
         for module in pkgutil.walk_packages([str(PACKAGE / package)], f"tacgen.{package}."):
             for caller in filter(None, map(dispatcher, vars(importlib.import_module(module.name)).values())):
                 callers += 1

@@ -25,8 +25,8 @@ from tacgen import export
 from tacgen.bundle import bundle
 from tacgen.cli.main import app
 from tacgen.recipe import assets, loading, model, plan
-from tacgen.recipe.grasp_checks import OF_GRASP
-from tacgen.recipe.indenters import SHAPES
+from tacgen.recipe.grasp_checks import GRIPPER_MOVES
+from tacgen.recipe.indenters import INDENTER_SHAPES
 from tacgen.recipe.trajectory import Segment
 from tacgen.sensor import markers
 from tacgen.sensor import model as sensor
@@ -221,13 +221,13 @@ def test_the_recipe_page_names_every_key_movement_and_quality() -> None:
 
 
 def test_the_gallery_has_every_shape_object_movement_and_sensor() -> None:
-    rows, single = plan.load(DOCS / "gallery" / "gallery.yaml").rows, {*Segment.model_fields} - {*OF_GRASP}
+    rows, single = plan.load(DOCS / "gallery" / "gallery.yaml").rows, {*Segment.model_fields} - {*GRIPPER_MOVES}
     moved: dict[str, set[str]] = {}
     for row in rows:
         indenter = row.recipe.indenter
         name = indenter.file if indenter.shape == "mesh" else indenter.shape
         moved.setdefault(name, set()).update(step.kind for step in row.recipe.trajectory)
-    assert set(moved) == {*SHAPES, *assets.list_objects()} - {"mesh"}
+    assert set(moved) == {*INDENTER_SHAPES, *assets.list_objects()} - {"mesh"}
     assert not [name for name, kinds in moved.items() if kinds != single]
     page = (DOCS / "gallery.md").read_text()
     assert not [name for name in moved if f"| {name} |" not in page]

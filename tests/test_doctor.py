@@ -37,11 +37,11 @@ def test_everything_works_on_this_machine():
 def test_every_package_that_is_installed_with_tacgen_is_looked_for():
     project = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
     asked = {re.split("[<>=]", name)[0] for name in project["dependencies"]}
-    assert asked == {*doctor.PACKAGES, *doctor.REPLACEABLE}
+    assert asked == {*doctor.NEEDED_PACKAGES, *doctor.REPLACEABLE_PACKAGES}
 
 
 def test_the_fast_solver_may_be_taken_out(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(doctor, "REPLACEABLE", ("no-such-solver",))
+    monkeypatch.setattr(doctor, "REPLACEABLE_PACKAGES", ("no-such-solver",))
     (gone,) = (f for f in doctor.examine() if not f.ok and f.name == "no-such-solver")
     assert not gone.needed
 
@@ -51,7 +51,7 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
         raise ImportError("no module named mitsuba")
 
     monkeypatch.setattr("tacgen.render.images.variants", gone)
-    monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "no-such-package"))
+    monkeypatch.setattr(doctor, "NEEDED_PACKAGES", ("numpy", "no-such-package"))
     done = CliRunner().invoke(cli.app, ["doctor", "--json"])
     assert done.exit_code == 1
     found = {f["name"]: f for f in json.loads(done.stdout)}

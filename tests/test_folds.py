@@ -16,7 +16,7 @@ from tacgen import mechanics
 from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.bundle.check import FOLDED, check
+from tacgen.bundle.check import FOLDED_NOTE, check
 from tacgen.cli import main as cli
 from tacgen.recipe import plan
 from tacgen.report import dataset_card, dataset_summary
@@ -72,7 +72,7 @@ def test_kept_frames_are_marked_from_the_fold_on(tmp_path: Path) -> None:
     assert frames.unique.tolist() == [True, False, False, False, True], "untouched, the gel is as it was"
     findings = check(frames.bundle.path)
     assert {finding.level for finding in findings} == {"note"}, "a fold may be out of balance"
-    (note,) = [finding.message for finding in findings if FOLDED in finding.message]
+    (note,) = [finding.message for finding in findings if FOLDED_NOTE in finding.message]
     assert "frames 1, 2, 3" in note
     assert "by 2.3% out of balance at most" in note
 

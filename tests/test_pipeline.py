@@ -26,10 +26,10 @@ from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.mechanics import cost_note, mesh
 from tacgen.mechanics.condensation import Condensation
-from tacgen.outputs import NAMES
+from tacgen.outputs import OUTPUT_NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
-from tacgen.sensor.imperfections import NOISE
+from tacgen.sensor.imperfections import NOISE_STREAM
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
@@ -50,7 +50,7 @@ FLAT = (
     "trajectory=[{press: {depth_mm: 0.3, frames: 1}}]",
     "quality=draft",
 )
-EVERYTHING = f"outputs=[{', '.join(NAMES)}]"
+EVERYTHING = f"outputs=[{', '.join(OUTPUT_NAMES)}]"
 
 
 @pytest.fixture
@@ -172,7 +172,10 @@ def test_noise_is_the_frames_own_and_can_be_left_out(recipe: Path, tmp_path: Pat
     assert (grain.std(axis=(1, 2)) < 4).all()
     assert abs(np.corrcoef(grain[0].ravel(), grain[1].ravel())[0, 1]) < 0.05  # each frame has its own
     assert np.array_equal(pictures["with"]["/reference/rgb"], pictures["without"]["/reference/rgb"])
-    random, (height, width, _) = np.random.default_rng(np.random.SeedSequence((row.seed, 0, NOISE))), grain[0].shape
+    random, (height, width, _) = (
+        np.random.default_rng(np.random.SeedSequence((row.seed, 0, NOISE_STREAM))),
+        grain[0].shape,
+    )
     first = ndtri((random.integers(0, 2**16, (height, 3 * width), np.uint16) + 0.5) / 2**16)
     assert np.corrcoef(grain[0].ravel(), first.ravel())[0, 1] > 0.8  # by seed and frame, not by order of work
 
@@ -312,7 +315,7 @@ def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> Non
     way = "trajectory=[{press: {depth_mm: 1, frames: 1}}, {slide: {x_mm: 7, frames: 9}}]"
     sets = [way, "start.x_mm=-4", "quality={edge_mm: 0.2}"]
     ball = scene_of_row.build(plan.load(assets.recipe_path("quickstart"), sets).rows[0])
-    assert 3 * len(mesh.touched(ball)) / mesh.FACE_STEPS**2 > cost_note.MANY_UNKNOWNS  # but not at once
+    assert 3 * len(mesh.touched(ball)) / mesh.FACE_POINTS_PER_EDGE**2 > cost_note.MANY_CONTACT_DOFS  # but not at once
     assert not cost_note.cost_note(ball, len(mesh.of(ball).facets["coated"]))
 
 

@@ -97,7 +97,7 @@ def test_scenes_and_datasets_are_one_line_each(folder: Path) -> None:
 
 
 def test_few_files_are_open_at_a_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "OPEN_FILES", 2)
+    monkeypatch.setattr(reading, "MAX_OPEN_FILES", 2)
     dataset = TactileDataset(folder)
     for index in range(0, len(dataset), FRAMES // 2):
         dataset[index]

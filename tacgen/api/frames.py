@@ -15,7 +15,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
 from tacgen.bundle.caption import caption
 from tacgen.bundle.force_error import force_error
-from tacgen.bundle.hdf5_file import LARGEST
+from tacgen.bundle.hdf5_file import MAX_HDF5_BYTES
 from tacgen.bundle.kept_files import Folder
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
-ALIASES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force", "unique": "quality/unique"}
-ALIASES |= {name: f"/reference/{name}" for name in ("x_mm", "y_mm")}
+SHORT_NAMES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force", "unique": "quality/unique"}
+SHORT_NAMES |= {name: f"/reference/{name}" for name in ("x_mm", "y_mm")}
 
 
 class Frames:
@@ -79,7 +79,7 @@ class Frames:
         """Pickled, as another process returns it, with the file, which is removed with the frames of that process."""
         if self._folder is None:
             return Frames, (self.bundle,)
-        return _unpickled, (self.bundle.path.name, regular_file.read_bytes(self.bundle.path, LARGEST))
+        return _unpickled, (self.bundle.path.name, regular_file.read_bytes(self.bundle.path, MAX_HDF5_BYTES))
 
     def __len__(self) -> int:
         """N, the number of frames."""
@@ -94,7 +94,7 @@ class Frames:
         """A dataset by its name below /frames or /fields, or by its path. Raises UserError: it is not there."""
         if not isinstance(name, str):
             raise TypeError(f"frames[{name!r}]: a name is needed; frames.force[{name!r}] is the force of one frame")
-        path = field_names.path_of(ALIASES.get(name, name), self.bundle.shapes)
+        path = field_names.path_of(SHORT_NAMES.get(name, name), self.bundle.shapes)
         if path not in self._read:
             self._read[path] = self.bundle[path]
             self._read[path].flags.writeable = False
@@ -116,7 +116,7 @@ class Frames:
             {
                 *super().__dir__(),
                 *plain,
-                *(each for each, name in ALIASES.items() if {name, f"/frames/{name}", f"/fields/{name}"} & known),
+                *(each for each, name in SHORT_NAMES.items() if {name, f"/frames/{name}", f"/fields/{name}"} & known),
             }
         )
 

@@ -28,7 +28,7 @@ from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, for
 if TYPE_CHECKING:
     from tacgen.recipe.indenters import Box, Capsule, Cone, Cylinder, Mesh, Sphere, Torus, Wedge
 
-OUTPUTS = ("force", "traction", "height", "stress")
+SIMULATION_OUTPUTS = ("force", "traction", "height", "stress")
 VIEW_PX = 320  # longer side of the picture, and of the maps, of a gel that is not a sensor's [px]
 Movement = Press | Slide | Twist | Tilt | Hold | Release | Replay
 
@@ -51,7 +51,7 @@ def simulate(
     *,
     start: Start | None = None,
     friction: float = 0.0,
-    outputs: Sequence[str] = OUTPUTS,
+    outputs: Sequence[str] = SIMULATION_OUTPUTS,
     quality: str | Mapping[str, Any] = "default",
     uncertainty: bool | Uncertainty = False,
     dynamics: Dynamics | None = None,
@@ -220,9 +220,9 @@ class _Files:
         if isinstance(given, Trimesh):
             content = given.export(file_type="stl")
             return {"shape": "mesh", "file": self._kept(content, f"{_called(given)}.stl", ("indenter", "file"))}
-        if type(given) in indenters.SHAPES.values():
+        if type(given) in indenters.INDENTER_SHAPES.values():
             return given
-        known = ", ".join(kind.__name__ for kind in indenters.SHAPES.values())
+        known = ", ".join(kind.__name__ for kind in indenters.INDENTER_SHAPES.values())
         raise UserError(f"simulate: indenter: must be {known}, a name, a path or a trimesh (got {_kind(given)})")
 
     def movement(self, given: Any, place: int) -> Any:

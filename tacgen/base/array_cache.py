@@ -13,8 +13,8 @@ import numpy as np
 from tacgen.base import atomic_file, regular_file
 
 Array = np.ndarray
-LARGEST = 2**31  # largest entry [bytes]
-SEAL = hashlib.sha256().digest_size
+MAX_ENTRY_BYTES = 2**31  # largest entry [bytes]
+SEAL_BYTES = hashlib.sha256().digest_size
 _tell: list[Callable[[str], None]] = []  # called with the kind of an entry before it is made
 
 
@@ -74,10 +74,10 @@ def telling(tell: Callable[[str], None]) -> Iterator[None]:
 def read(file: Path, key: str) -> bytes | None:
     """The content of an entry; None if there is none, or if it is damaged or of another key."""
     try:
-        entry = regular_file.read_bytes(file, LARGEST)
+        entry = regular_file.read_bytes(file, MAX_ENTRY_BYTES)
     except OSError:
         return None
-    seal, content = entry[:SEAL], entry[SEAL:]
+    seal, content = entry[:SEAL_BYTES], entry[SEAL_BYTES:]
     return content if seal == _seal(key, content) else None
 
 

@@ -31,8 +31,8 @@ from numba.core.serialize import dumps
 from tacgen.base import array_cache, atomic_file
 
 # with compiled functions; they use no other package's constants
-PACKAGES = ("physics", "fem", "optics", "geometry", "mechanics")
-WAIT_S = 0.1  # interval at which a waiting process checks whether another has finished [s]
+COMPILED_PACKAGES = ("physics", "fem", "optics", "geometry", "mechanics")
+COMPILATION_POLL_S = 0.1  # interval at which a waiting process checks whether another has finished [s]
 F = TypeVar("F", bound=Callable[..., Any])
 pickled: Callable[[Any], bytes] = dumps
 
@@ -41,7 +41,7 @@ pickled: Callable[[Any], bytes] = dumps
 def folder() -> Path:
     """The folder of the machine code of this source and this processor; NUMBA_CACHE_DIR overrides it."""
     root, state = Path(__file__).parents[1], hashlib.sha256(Path(__file__).read_bytes())
-    for package in PACKAGES:
+    for package in COMPILED_PACKAGES:
         for file in sorted((root / package).rglob("*.py")):
             state.update(file.read_bytes())
     tools = platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__
@@ -210,7 +210,7 @@ def once(what: str) -> Iterator[None]:
                 break
             except atomic_file.Busy:
                 _watch.on_start()
-                time.sleep(WAIT_S)
+                time.sleep(COMPILATION_POLL_S)
                 _watch.on_end()
         yield
         if _writable():

@@ -8,9 +8,9 @@ from pathlib import Path
 from tacgen.base import regular_file
 from tacgen.base.errors import why
 
-LARGEST = 10_000_000  # [bytes]
-LARGEST_NUMBER = 1e100  # what is plotted and summed must not overflow
-MOST_MESSAGES = 5  # reported for one table
+MAX_TABLE_BYTES = 10_000_000  # [bytes]
+MAX_TABLE_VALUE = 1e100  # what is plotted and summed must not overflow
+MAX_TABLE_MESSAGES = 5  # reported for one table
 Record = tuple[int, list[str]]  # number of a line from 1, and its cells without spaces around them
 Rows = list[tuple[int, dict[str, str]]]
 
@@ -56,7 +56,7 @@ def rows(table: Path, needed: tuple[str, ...], either: tuple[str, ...], wrong: l
     columns of one name, or with a row of another length than the header: its cells may be in wrong columns.
     """
     try:
-        read, uneven = records(regular_file.read_bytes(table, LARGEST))
+        read, uneven = records(regular_file.read_bytes(table, MAX_TABLE_BYTES))
     except OSError as error:
         wrong.append(f"{table}: cannot be read: {why(error)}")
         return []
@@ -80,8 +80,8 @@ def rows(table: Path, needed: tuple[str, ...], either: tuple[str, ...], wrong: l
 
 def few(messages: list[str]) -> list[str]:
     """The first messages about a table's lines, and how many more there are."""
-    more = len(messages) - MOST_MESSAGES
-    return [*messages[:MOST_MESSAGES], f"and {more} more lines"] if more > 0 else messages
+    more = len(messages) - MAX_TABLE_MESSAGES
+    return [*messages[:MAX_TABLE_MESSAGES], f"and {more} more lines"] if more > 0 else messages
 
 
 def numerals(values: Sequence[float], digits: int) -> list[str]:
@@ -93,9 +93,9 @@ def numerals(values: Sequence[float], digits: int) -> list[str]:
 
 
 def number(text: str) -> float:
-    """A number below LARGEST_NUMBER, or nan."""
+    """A number below MAX_TABLE_VALUE, or nan."""
     try:
         value = float(text)
     except ValueError:
         return math.nan
-    return value if abs(value) < LARGEST_NUMBER else math.nan
+    return value if abs(value) < MAX_TABLE_VALUE else math.nan

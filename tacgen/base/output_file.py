@@ -1,7 +1,7 @@
 """The files that commands write for their user: never in the place of an input, pipe or somebody's file, and complete.
 
 Two kinds are known as tacgen's own, and replaced by their like as long as nobody has changed them: a page ends with a
-comment that holds the digest of its text; the digests of other results stand in RECORD beside them.
+comment that holds the digest of its text; the digests of other results stand in RESULTS_RECORD beside them.
 """
 
 import hashlib
@@ -17,11 +17,11 @@ from typing import Any, Literal
 from tacgen.base import atomic_file, regular_file
 from tacgen.base.errors import UserError
 
-SIGNATURE = re.compile(rb"\n<!-- written by tacgen; sha256 of the text above: ([0-9a-f]{64}) -->\n\Z")
-LARGEST_PAGE = 2**28  # [bytes]
+PAGE_SIGNATURE = re.compile(rb"\n<!-- written by tacgen; sha256 of the text above: ([0-9a-f]{64}) -->\n\Z")
+MAX_PAGE_BYTES = 2**28  # [bytes]
 Kind = Literal["", "page", "result"]
-OF_DATA_SETS = (".h5", ".json", ".jsonl", ".md")  # suffixes of the files of a data set
-RECORD = ".tacgen-written.json"  # in the folder of results: their names, and the SHA-256 of each
+DATA_SET_SUFFIXES = (".h5", ".json", ".jsonl", ".md")  # suffixes of the files of a data set
+RESULTS_RECORD = ".tacgen-written.json"  # in the folder of results: their names, and the SHA-256 of each
 
 
 @contextmanager
@@ -40,7 +40,8 @@ def written(
             (`regular_file.noting`) is not replaced in any case.
         overwrite: replace an existing file.
         within: the folder that the file must be in, links followed.
-        kind: a page or result replaces one that tacgen wrote, unchanged since, in any case. RECORD has the results.
+        kind: a page or result replaces one that tacgen wrote, unchanged since, in any case. RESULTS_RECORD has the
+        results.
 
     Raises:
         UserError: the target is an input, exists already, is not a regular file, or lies elsewhere; another process
@@ -63,7 +64,7 @@ def written(
             os.replace(new, target)
             if digest:
                 known = _recorded(target.parent) | {target.name: digest}
-                atomic_file.write(target.parent / RECORD, (json.dumps(known, indent=1) + "\n").encode())
+                atomic_file.write(target.parent / RESULTS_RECORD, (json.dumps(known, indent=1) + "\n").encode())
         except OSError as error:
             if error.filename != str(new):
                 raise
@@ -116,7 +117,7 @@ def refuse(
     if stat.S_ISDIR(status.st_mode):
         raise UserError(f"{target}: is a folder: name a file")
     for path in inputs:
-        if path.is_dir() and target.resolve().is_relative_to(path.resolve()) and target.suffix in OF_DATA_SETS:
+        if path.is_dir() and target.resolve().is_relative_to(path.resolve()) and target.suffix in DATA_SET_SUFFIXES:
             raise UserError(f"{target}: belongs to the data set that is read: choose another name")
     same = (path for path in inputs if path.exists() and os.path.samestat(os.stat(path), status))
     if regular_file.was_read(status) or any(same):
@@ -130,15 +131,15 @@ def _is_own(path: Path, kind: Kind) -> bool:
     if kind == "page":
         return path.suffix == ".html" and is_unchanged_page(path)  # the card of a data set is signed, too
     if kind == "result" and (known := _recorded(path.parent).get(path.name)):
-        with suppress(OSError), regular_file.opened(path, LARGEST_PAGE, noted=False) as file:
+        with suppress(OSError), regular_file.opened(path, MAX_PAGE_BYTES, noted=False) as file:
             return hashlib.file_digest(file, "sha256").hexdigest() == known
     return False
 
 
 def _recorded(folder: Path) -> dict[str, str]:
-    """The contents of RECORD; empty where there is none, or where it is damaged."""
+    """The contents of RESULTS_RECORD; empty where there is none, or where it is damaged."""
     with suppress(OSError, ValueError, RecursionError):
-        found = json.loads(regular_file.read_bytes(folder / RECORD, LARGEST_PAGE, noted=False))
+        found = json.loads(regular_file.read_bytes(folder / RESULTS_RECORD, MAX_PAGE_BYTES, noted=False))
         return found if isinstance(found, dict) else {}
     return {}
 
@@ -153,8 +154,8 @@ def signed(text: str) -> bytes:
 def is_unchanged_page(path: Path) -> bool:
     """Whether `path` is a page that tacgen wrote and nobody changed."""
     try:
-        content = regular_file.read_bytes(path, LARGEST_PAGE, noted=False)
+        content = regular_file.read_bytes(path, MAX_PAGE_BYTES, noted=False)
     except OSError:
         return False
-    match = SIGNATURE.search(content)
+    match = PAGE_SIGNATURE.search(content)
     return match is not None and hashlib.sha256(content[: match.start()]).hexdigest().encode() == match[1]

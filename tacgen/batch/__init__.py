@@ -13,7 +13,7 @@ from tacgen.base import atomic_file
 from tacgen.base.errors import UserError
 from tacgen.base.version import __version__
 from tacgen.batch import cuda_engine, dask_engine
-from tacgen.batch.local import TASK, OnEvent, Pool
+from tacgen.batch.local import SCENE_TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle import dataset, journal
 from tacgen.bundle.bundle import read
@@ -45,7 +45,7 @@ def run(
     limits: Limits | None = None,
     engine: str = "local",
     scheduler: str = "",
-    task: str = TASK,
+    task: str = SCENE_TASK,
     on_event: OnEvent = lambda event: None,
 ) -> list[SceneResult]:
     """Make every scene of a plan that is not finished yet. Called again, it resumes a run that was stopped.

@@ -24,27 +24,29 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tacgen.base.errors import UserError
 from tacgen.base.version import __version__
 from tacgen.batch import process_pool, solution_file
-from tacgen.batch.local import TASK, OnEvent, Pool
+from tacgen.batch.local import SCENE_TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle import resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
-from tacgen.outputs import IMAGES
+from tacgen.outputs import IMAGE_OUTPUTS
 from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.engine import Solved
     from tacgen.tensor_engine.planning import Planned
 
-CHUNK = 2048  # scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
-EACH = 8  # processes at most that solve on one GPU: more of them have fewer scenes in a call
-MEMORY = 0.85  # part of a GPU's memory that they share, of what is left beside workers that draw on it
-PLANNERS, AT_ONCE = 8, 16  # processes at most that plan scenes, and scenes that one is given at a time
-LOOK_S = 0.1  # between looks for new solutions
-FOLDER = ".solved"
+# scenes that are planned and solved together; as many solutions, of some 3 MB, may wait for a worker
+MAX_PLANNED_SCENES = 2048
+MAX_PROCESSES_PER_GPU = 8  # processes at most that solve on one GPU: more of them have fewer scenes in a call
+GPU_MEMORY_SHARE = 0.85  # part of a GPU's memory that they share, of what is left beside workers that draw on it
+# processes at most that plan scenes, and scenes that one is given at a time
+MAX_PLANNERS, SCENES_PER_PLANNER_TASK = 8, 16
+SOLUTION_POLL_S = 0.1  # between looks for new solutions
+SOLUTIONS_FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
-SOLVED, PREPARE = f"{__name__}:run_scene", f"{__name__}:prepare"
+SOLVED_SCENE_TASK, PREPARE_TASK = f"{__name__}:run_scene", f"{__name__}:prepare"
 
 
 class SolvedPart(NamedTuple):
@@ -66,9 +68,9 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
     with ExitStack() as stack:
         mapped: Mapped = map
         if workers > 1:  # scenes are planned in processes too, which start while PyTorch is imported here
-            planners, module = min(workers, PLANNERS), "tacgen.tensor_engine.planning"
+            planners, module = min(workers, MAX_PLANNERS), "tacgen.tensor_engine.planning"
             planning = process_pool.started(stack, planners, import_module, module)
-            mapped = partial(planning.map, chunksize=AT_ONCE)
+            mapped = partial(planning.map, chunksize=SCENES_PER_PLANNER_TASK)
             process_pool.import_once("tacgen.tensor_engine.pool")
         devices = usable_devices()
         count = solvers(workers, len(devices))
@@ -76,7 +78,9 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         if count > 1:
             solving = process_pool.started(stack, count, import_module, "tacgen.tensor_engine.pool", by="forkserver")
         ahead = stack.enter_context(ThreadPoolExecutor(1))
-        pool = stack.enter_context(Pool(workers, limits, SOLVED if task == TASK else task, first=PREPARE))
+        pool = stack.enter_context(
+            Pool(workers, limits, SOLVED_SCENE_TASK if task == SCENE_TASK else task, first=PREPARE_TASK)
+        )
 
         def run(
             rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
@@ -84,7 +88,7 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
             solutions = _Solutions(_unfinished(rows, folder, overwrite), folder, on_event)
 
             def begin(some: Sequence[Row], patient: bool) -> list[Future[SolvedPart]]:
-                drawing = -(-workers // len(devices)) if some[0].recipe.outputs & IMAGES else 0
+                drawing = -(-workers // len(devices)) if some[0].recipe.outputs & IMAGE_OUTPUTS else 0
                 return _begun(some, folder, devices, solving, count, mapped, drawing, patient)
 
             solved = ahead.submit(solutions.make, begin)
@@ -120,7 +124,7 @@ class _Solutions:
         self._chunks = list[_Chunk]()  # those that are begun
         self._there, self._seen = set[str](), 0.0  # names of solutions when they were last looked for
         self._clear()  # what a killed run has left may be another recipe's
-        (folder / FOLDER).mkdir(exist_ok=True)
+        (folder / SOLUTIONS_FOLDER).mkdir(exist_ok=True)
 
     def make(self, begin: Begin) -> None:
         """Write them, chunk by chunk, by a function that begins a chunk, patiently or not, and returns its parts.
@@ -128,11 +132,11 @@ class _Solutions:
         A chunk is begun while the one before is solved: a process without a part of that takes one of the next. Scenes
         that a chunk has put off are another chunk, so that which ones share a pattern does not depend on the time.
         """
-        for k in range(0, len(self._rows), CHUNK):
-            while k - len(self._ended) > CHUNK:
+        for k in range(0, len(self._rows), MAX_PLANNED_SCENES):
+            while k - len(self._ended) > MAX_PLANNED_SCENES:
                 if not self._wait(begin):
                     return
-            some = self._rows[k : k + CHUNK]
+            some = self._rows[k : k + MAX_PLANNED_SCENES]
             self._chunks.append(_Chunk(some, begin(some, False)))
         while self._chunks and self._wait(begin):
             pass
@@ -143,7 +147,7 @@ class _Solutions:
             if all(part.done() for part in chunk.parts):
                 self._finish(chunk, begin)
                 return not self._closed.is_set()
-        return not self._closed.wait(LOOK_S)
+        return not self._closed.wait(SOLUTION_POLL_S)
 
     def _finish(self, chunk: _Chunk, begin: Begin) -> None:
         """Begin with what a chunk has put off; a reason for each of its other scenes that has no solution."""
@@ -169,8 +173,8 @@ class _Solutions:
 
     def has(self, row: Row) -> bool:
         """Whether a row's solution is there, or none is needed."""
-        if (now := time.monotonic()) > self._seen + LOOK_S:
-            self._there, self._seen = {path.stem for path in (self._folder / FOLDER).glob("*.npz")}, now
+        if (now := time.monotonic()) > self._seen + SOLUTION_POLL_S:
+            self._there, self._seen = {path.stem for path in (self._folder / SOLUTIONS_FOLDER).glob("*.npz")}, now
         return row.name not in self._places or row.name in self._there
 
     def watch(self, event: dict[str, Any]) -> None:
@@ -196,15 +200,15 @@ class _Solutions:
 
     def _clear(self) -> None:
         """Delete the solutions of these rows; other shards may still need theirs."""
-        for place in {*self._places.values()}.intersection((self._folder / FOLDER).glob("*.npz")):
+        for place in {*self._places.values()}.intersection((self._folder / SOLUTIONS_FOLDER).glob("*.npz")):
             place.unlink(missing_ok=True)
         with suppress(OSError):  # not empty, or not there
-            os.rmdir(self._folder / FOLDER)
+            os.rmdir(self._folder / SOLUTIONS_FOLDER)
 
 
 def solvers(workers: int, devices: int) -> int:
     """Processes that solve: a GPU waits for the one that feeds it, so several share it, and half of the cores feed."""
-    return max(devices, min(EACH * devices, workers // 2))
+    return max(devices, min(MAX_PROCESSES_PER_GPU * devices, workers // 2))
 
 
 def usable_devices() -> list[str]:
@@ -243,7 +247,7 @@ def _drawing_device(row: Row) -> str | None:
     over all GPUs."""
     from tacgen.render.images import clear
 
-    if not (row.recipe.outputs & IMAGES and clear(row.sensor, row.recipe.render.method)):
+    if not (row.recipe.outputs & IMAGE_OUTPUTS and clear(row.sensor, row.recipe.render.method)):
         return None
     from tacgen.tensor_engine import device  # PyTorch, which takes seconds and memory
 
@@ -294,7 +298,7 @@ def _begun(
     from tacgen.tensor_engine.planning import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
-    parts, share = divided(plans, count), MEMORY / -(-count // len(devices))
+    parts, share = divided(plans, count), GPU_MEMORY_SHARE / -(-count // len(devices))
     try:
         return [
             solving.submit(
@@ -372,4 +376,4 @@ def _solutions(
 
 
 def _place(folder: Path, row: Row) -> Path:
-    return folder / FOLDER / f"{row.name}.npz"
+    return folder / SOLUTIONS_FOLDER / f"{row.name}.npz"

@@ -12,7 +12,7 @@ from tacgen.batch.worker_process import Limits
 from tacgen.bundle.resume import SceneResult
 from tacgen.recipe.row import Row
 
-CONNECT_S = 30  # longest wait for a scheduler
+SCHEDULER_TIMEOUT_S = 30  # longest wait for a scheduler
 _thread = threading.local()  # on a Dask worker: the pool of this thread
 
 
@@ -30,7 +30,7 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
     with ExitStack() as stack:
         if scheduler:
             try:
-                client = stack.enter_context(Client(scheduler, timeout=CONNECT_S))
+                client = stack.enter_context(Client(scheduler, timeout=SCHEDULER_TIMEOUT_S))
             except (OSError, ValueError, ImportError) as error:
                 raise UserError(f"--scheduler {scheduler}: {str(error).splitlines()[0]}") from None
         else:

@@ -10,13 +10,13 @@ from threading import Thread
 from typing import Any
 
 from tacgen.base.errors import UserError
-from tacgen.batch.scene_order import WINDOW, SceneOrder
+from tacgen.batch.scene_order import COMPARED_SCENES, SceneOrder
 from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memory
 from tacgen.bundle.resume import SceneResult
 from tacgen.recipe.row import Row
 
-TASK = "tacgen.batch.pipeline:run_scene"
-COMPILE = "tacgen.batch.pipeline:compile_labels"  # in a second process, if there is a second core
+SCENE_TASK = "tacgen.batch.pipeline:run_scene"
+COMPILE_TASK = "tacgen.batch.pipeline:compile_labels"  # in a second process, if there is a second core
 MAX_TRIES = 2  # a scene whose worker died this often is recorded as failed
 POLL_S = 0.2  # longest wait for messages, and interval of checks of the limits [s]
 BUSY_RETRY_S = 0.5  # delay before a scene that another run is making is tried again [s]
@@ -32,7 +32,7 @@ class Pool:
         self,
         workers: int = 1,
         limits: Limits | None = None,
-        task: str = TASK,
+        task: str = SCENE_TASK,
         memory_gb: float | None = None,
         first: str = "",
     ) -> None:
@@ -136,7 +136,7 @@ def compiler_of(row: Row, folder: Path) -> Worker | None:
     None if there is no second core, or nothing to compile."""
     if cores() < 2 or row.recipe.outputs == {"force"}:
         return None
-    worker = Worker(COMPILE)
+    worker = Worker(COMPILE_TASK)
     worker.give(Job([row], 0), folder, overwrite=False)
     return worker
 
@@ -156,7 +156,7 @@ class _Batch:
         self.waiting = deque(Job(rows, place) for place in range(len(rows)))
         self.results: dict[int, SceneResult] = {}  # by place among the rows
         self.folder, self.on_event, self.ready = folder, on_event, ready
-        self.order, self.window = SceneOrder(), 1 if in_order else WINDOW
+        self.order, self.window = SceneOrder(), 1 if in_order else COMPARED_SCENES
 
     def next(self) -> Job | None:
         """Take the job that should be begun first, if one may be begun now."""

@@ -24,7 +24,7 @@ from tacgen.mechanics.cost_note import cost_note
 from tacgen.mechanics.expected_error import Expected, frame_error
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
-from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS, PLACES, WITH_MAPS
+from tacgen.outputs import BLOCK_OUTPUTS, IMAGE_OUTPUTS, MAP_OUTPUTS, OUTPUT_NAMES, OUTPUTS, POSITIONS_OUTPUT
 from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from tacgen.outputs.gel_surface import GelSurface
     from tacgen.render.pictures import Pictures
 
-COARSE = 0.1  # expected error of the force by the mesh [-], above which a run tells it
-DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
-STRESS = {"stress", "surface_stress"}  # outputs that need the gel's elements
-TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
+MIN_NOTED_ERROR = 0.1  # expected error of the force by the mesh [-], above which a run tells it
+WARM_DENT_MM = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
+STRESS_OUTPUTS = {"stress", "surface_stress"}  # outputs that need the gel's elements
+TRACED_ENTRIES = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
 
@@ -53,7 +53,7 @@ def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Cl
     """Datasets that outputs make of a scene or a frame; images count as another stage than labels."""
     found: Datasets = {}
     for name, datasets in made.items():
-        with clock.stage("render" if name in IMAGES else "fields"):
+        with clock.stage("render" if name in IMAGE_OUTPUTS else "fields"):
             found |= datasets(data)
     return found
 
@@ -88,11 +88,11 @@ def _attributes(
         cost = cost_note(built, len(problem.mesh.facets["coated"])) if problem.condensed else ""
     if row.finger is not None:
         found["finger"] = row.finger
-    if row.recipe.outputs & IMAGES:
+    if row.recipe.outputs & IMAGE_OUTPUTS:
         with clock.stage("render"):
             found["renderer"] = shared.pictures.name
     expected = Expected.of(built)
-    coarse = expected.note() if expected and expected.error > COARSE else ""
+    coarse = expected.note() if expected and expected.error > MIN_NOTED_ERROR else ""
     if row.pair is not None:
         found["pair"] = row.pair
     if solution is not None and solution.states:
@@ -138,7 +138,7 @@ def _make(
             on_event({"event": "compiling", "scene": row.name})
 
     def tell_tracing(kind: str) -> None:
-        if on_event and kind in TRACED:
+        if on_event and kind in TRACED_ENTRIES:
             on_event({"event": "tracing", "scene": row.name})
 
     clock = Clock()
@@ -205,13 +205,15 @@ def _gels(row: Row, clock: Clock, solution: SolvedScene | None = None) -> tuple[
         expected.refuse()
     with clock.stage("mesh"):
         if known:
-            stress = bool(row.recipe.outputs & STRESS)
+            stress = bool(row.recipe.outputs & STRESS_OUTPUTS)
             problem = mechanics.Problem.of_known_frames(built, mesh.of(built), stress=stress)
             states = iter(known.states)
         else:
             # a trial of a prescribed force may fold where its solution does not: its frames stop such a scene
             through = row.recipe.folds == "keep" or built.forced is not None
-            problem = mechanics.Problem.of(built, mesh.of(built), replace(mechanics.DEFAULT, through_folds=through))
+            problem = mechanics.Problem.of(
+                built, mesh.of(built), replace(mechanics.DEFAULT_OPTIONS, through_folds=through)
+            )
             states = mechanics.states(built, problem)
     return ((row, built, problem),), (((state, None),) for state in states)
 
@@ -246,13 +248,15 @@ class Recorder:
     ) -> None:
         (row, self.scene, problem), self.clock = solvable, clock
         self.poses: list[np.ndarray] = []
-        asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
-        asked |= {PLACES} if asked & WITH_MAPS else set()
+        asked = {"force", *row.recipe.outputs} | {
+            name for name in BLOCK_OUTPUTS if getattr(row.recipe, name) is not None
+        }
+        asked |= {POSITIONS_OUTPUT} if asked & MAP_OUTPUTS else set()
         self.before: mechanics.State | None = None
         with clock.stage("fields"):
             self.shared = _shared(row, self.scene, problem, solution.states if solution else (), device)
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
-        images = {k: made.pop(k) for k in NAMES if k in IMAGES & made.keys()}
+        images = {k: made.pop(k) for k in OUTPUT_NAMES if k in IMAGE_OUTPUTS & made.keys()}
         with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first
             found = _datasets(made, self.shared, clock)
         self.pictures: Pictures | None = None
@@ -367,16 +371,16 @@ def compile_labels(row: Row, folder: Path, **_: Any) -> None:
         built = scene_of_row.build(row)
         shared = _shared(row, built, mechanics.Problem.of(built, mesh.of(built)))
         dented = shared.problem.mesh.points.copy()
-        dented[:, 2] -= DENT * np.exp(-np.square(dented).sum(1))
+        dented[:, 2] -= WARM_DENT_MM * np.exp(-np.square(dented).sum(1))
         moved = shared.printed.moved(dented)
-        if row.recipe.outputs & IMAGES:
+        if row.recipe.outputs & IMAGE_OUTPUTS:
             with compiled.once(_camera(row)):
                 shared.pictures.radiance(moved)
         with compiled.once(_maps(row)):
             shared.drawn(moved).normals()
             far = np.arange(40.0)  # of some points, to compile what draws the rim of a contact
             contact_rim.openings(np.column_stack([np.cos(far), far, far])[:, :2], far, far < 10, 10.0)
-            if row.recipe.outputs & STRESS:
+            if row.recipe.outputs & STRESS_OUTPUTS:
                 shared.stresses.at(dented, shared.problem.elastic)
 
 

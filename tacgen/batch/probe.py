@@ -8,13 +8,13 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from tacgen.base.errors import UserError
-from tacgen.batch.local import TASK, OnEvent, Pool
+from tacgen.batch.local import SCENE_TASK, OnEvent, Pool
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
 from tacgen.report.estimate import Cost, Made, cost, work
 
-SCENES = 8  # timed scenes at most
-ENOUGH_S = 10.0  # for which scenes are timed [s]
+MAX_TIMED_SCENES = 8  # timed scenes at most
+TIMING_S = 10.0  # for which scenes are timed [s]
 
 
 class PlanCost(NamedTuple):
@@ -26,12 +26,12 @@ class PlanCost(NamedTuple):
 
 def chosen(plan: Plan) -> list[Row]:
     """The scenes that are timed, evenly spread over the plan."""
-    count = min(SCENES, len(plan.rows))
+    count = min(MAX_TIMED_SCENES, len(plan.rows))
     return [plan.rows[i * len(plan.rows) // count] for i in range(count)]
 
 
-def probe(plan: Plan, workers: int, task: str = TASK, on_event: OnEvent = lambda event: None) -> PlanCost:
-    """Time some scenes on the same number of workers as the run, for ENOUGH_S after their first frame.
+def probe(plan: Plan, workers: int, task: str = SCENE_TASK, on_event: OnEvent = lambda event: None) -> PlanCost:
+    """Time some scenes on the same number of workers as the run, for TIMING_S after their first frame.
 
     What comes before it, as compiling, happens once. Where no scene is finished by then, the frames of those at work
     are judged by.
@@ -69,7 +69,7 @@ class _FrameClock:
         """Whether the time is over and there is something to judge by."""
         first = min((times[0] for times in self.times.values()), default=math.inf)
         judged = self.finished or any(len(times) > 1 for times in self.times.values())
-        return judged and time.monotonic() - first > ENOUGH_S
+        return judged and time.monotonic() - first > TIMING_S
 
     def made(self, folder: Path) -> list[Made]:
         """The frames after the first one of each scene at work, as if they were a scene."""

@@ -15,17 +15,18 @@ from tacgen.report.estimate import work
 
 Array = np.ndarray
 Known = tuple[int, dict[str, Any]]  # a scene's frames and varied values
-LEAST = 8  # scenes done before the first prediction; until then the plan's order is kept
-LEARNT = 128  # scenes, the latest ones done, on which the prediction is based
-WINDOW = 128  # waiting scenes that are compared; it takes 2 ms, and 28 kB for each scene's recipe
-RIDGE = 30.0  # penalty on the weights of standardised values, equivalent to so many scenes of average cost [-]
+MIN_SCENES_FOR_PREDICTION = 8  # scenes done before the first prediction; until then the plan's order is kept
+PREDICTION_SCENES = 128  # scenes, the latest ones done, on which the prediction is based
+COMPARED_SCENES = 128  # waiting scenes that are compared; it takes 2 ms, and 28 kB for each scene's recipe
+COST_FIT_RIDGE = 30.0  # penalty on the weights of standardised values, equivalent to so many scenes of average cost [-]
 
 
 class SceneOrder:
     """Predicts the run time of scenes from those done."""
 
     def __init__(self) -> None:
-        self._made: deque[tuple[Known, float]] = deque(maxlen=LEARNT)  # with the logarithm of seconds a frame
+        # with the logarithm of seconds a frame
+        self._made: deque[tuple[Known, float]] = deque(maxlen=PREDICTION_SCENES)
 
     def learn(self, row: Row, seconds: dict[str, float]) -> None:
         """Records the seconds by stage of a scene that is done."""
@@ -33,16 +34,16 @@ class SceneOrder:
             self._made.append(((row.frames, row.values), float(np.log(spent / row.frames))))
 
     def longest(self, rows: Sequence[Row]) -> int:
-        """Index in `rows` of the scene to make next; 0 until LEAST scenes are done."""
+        """Index in `rows` of the scene to make next; 0 until MIN_SCENES_FOR_PREDICTION scenes are done."""
         known = len(self._made)
-        if known < LEAST or len(rows) < 2:
+        if known < MIN_SCENES_FOR_PREDICTION or len(rows) < 2:
             return 0
         x = _features([*(one for one, _ in self._made), *((row.frames, row.values) for row in rows)])
         y = np.array([cost for _, cost in self._made])
         x -= x[:known].mean(0)
         spread = x[:known].std(0)
         x = x[:, spread > 0] / spread[spread > 0]
-        inner = x[:known].T @ x[:known] + RIDGE * np.eye(x.shape[1])
+        inner = x[:known].T @ x[:known] + COST_FIT_RIDGE * np.eye(x.shape[1])
         weights = np.linalg.solve(inner, x[:known].T @ (y - y.mean()))
         frames = np.array([row.frames for row in rows])
         return int(np.argmax(x[known:] @ weights + np.log(frames)))

@@ -12,15 +12,15 @@ from tacgen.base import atomic_file
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.mechanics.state import State
 
-LEFT_OUT = ("internal", "after", "passed")  # no label needs the history of a load step
-NAMES = [field.name for field in fields(State) if field.name not in LEFT_OUT]
+UNSAVED_STATE_FIELDS = ("internal", "after", "passed")  # no label needs the history of a load step
+STATE_FIELDS = [field.name for field in fields(State) if field.name not in UNSAVED_STATE_FIELDS]
 
 
 def write(path: Path, solution: SolvedScene) -> None:
     """Write a solution, in whole or not at all. Without friction, what only friction has is left out."""
     found: dict[str, np.ndarray] = {}
     numbers: dict[str, list[float]] = {}  # in one text: each array of a file takes as long to read as 100 kB
-    for name in NAMES if solution.states else ():
+    for name in STATE_FIELDS if solution.states else ():
         values = [getattr(state, name) for state in solution.states]
         if np.ndim(values[0]):
             found[name] = np.stack(values)
@@ -39,7 +39,9 @@ def read(path: Path) -> SolvedScene | None:
         return None
     with np.load(path, allow_pickle=False) as found:
         told = json.loads(str(found["/told"]))
-        arrays = {name: found[name] for name in NAMES if name in found} | told["numbers"]
+        arrays = {name: found[name] for name in STATE_FIELDS if name in found} | told["numbers"]
     frames = range(len(arrays.get("index", ())))
-    each: list[dict[str, Any]] = [{name: arrays[name][k] if name in arrays else None for name in NAMES} for k in frames]
+    each: list[dict[str, Any]] = [
+        {name: arrays[name][k] if name in arrays else None for name in STATE_FIELDS} for k in frames
+    ]
     return SolvedScene(told["engine"], [State(**one) for one in each], told["why"], tuple(told["heights"]))

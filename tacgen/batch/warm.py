@@ -10,8 +10,8 @@ from tacgen.batch.worker_process import cores
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 
-TOUCH = "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
-PLAIN = "force, traction, force_map, height, normals, gap, flow, material, rgb, stress"
+WARM_TRAJECTORY = "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
+WARM_OUTPUTS = "force, traction, force_map, height, normals, gap, flow, material, rgb, stress"
 
 
 def warm() -> Iterator[tuple[str, bool, str]]:
@@ -31,6 +31,6 @@ def warm() -> Iterator[tuple[str, bool, str]]:
 
 def _touched(sensor: str) -> Row:
     recipe = assets.recipe_path("quickstart")
-    (row,) = plan.load(recipe, [f"sensor={sensor}", "outputs=[force]", TOUCH]).rows
-    outputs = PLAIN if row.sensor.markers is None else f"{PLAIN}, markers"
-    return plan.load(recipe, [f"sensor={sensor}", f"outputs=[{outputs}]", TOUCH]).rows[0]
+    (row,) = plan.load(recipe, [f"sensor={sensor}", "outputs=[force]", WARM_TRAJECTORY]).rows
+    outputs = WARM_OUTPUTS if row.sensor.markers is None else f"{WARM_OUTPUTS}, markers"
+    return plan.load(recipe, [f"sensor={sensor}", f"outputs=[{outputs}]", WARM_TRAJECTORY]).rows[0]

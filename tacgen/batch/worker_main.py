@@ -22,10 +22,11 @@ from tacgen.base.errors import UserError
 
 # Freed memory that glibc keeps, and size from which it takes an array's from the system anew [bytes]. By its own limits
 # the pictures of a large sensor, some MB each, come back page by page: 22 instead of 13 ms a frame (9DTact, draft)
-KEPT, LARGE = 2**26, 2**25
+MALLOC_TRIM_BYTES, MALLOC_MMAP_BYTES = 2**26, 2**25
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of mallopt(3)
-RETURN_S = 2.0  # least time between two returns of freed memory [s]: each costs 12 ms, most of it to get it again
-PATIENT = 10  # added to the niceness of a thread that makes ready
+# least time between two returns of freed memory [s]: each costs 12 ms, most of it to get it again
+MIN_MEMORY_RETURN_S = 2.0
+BACKGROUND_NICENESS = 10  # added to the niceness of a thread that makes ready
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # errors that all scenes would have
 
 
@@ -59,7 +60,7 @@ def _before(call: Any) -> None:
         return
     function, row = call
     if sys.platform == "linux":  # elsewhere it is the whole process that would wait
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), PATIENT)
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), BACKGROUND_NICENESS)
     with suppress(Exception):  # a scene that meets it again tells
         _named(function)(row)
 
@@ -74,7 +75,7 @@ def _work(link: Connection, task: Any, made_ready: Callable[[], None]) -> None:
             return
         made_ready()
         link.send(_outcome(task, row, folder, overwrite, link))
-        if time.monotonic() - returned >= RETURN_S:
+        if time.monotonic() - returned >= MIN_MEMORY_RETURN_S:
             _return_memory()
             returned = time.monotonic()
 
@@ -105,8 +106,8 @@ def _keep_freed_memory() -> None:
     """Have the C library keep what is freed for the next scene's arrays, until `_return_memory`."""
     with suppress(OSError, AttributeError):  # another C library
         libc = ctypes.CDLL(None)
-        libc.mallopt(M_TRIM_THRESHOLD, KEPT)
-        libc.mallopt(M_MMAP_THRESHOLD, LARGE)
+        libc.mallopt(M_TRIM_THRESHOLD, MALLOC_TRIM_BYTES)
+        libc.mallopt(M_MMAP_THRESHOLD, MALLOC_MMAP_BYTES)
 
 
 def _return_memory() -> None:

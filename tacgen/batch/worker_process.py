@@ -15,9 +15,9 @@ from typing import Any
 
 from tacgen.recipe.row import Row
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 WORKER_GB = 1.0  # assumed memory of a worker for `--workers auto`; most scenes at `default` need half of it
-START_S = 300.0  # longest time from start to `ready`, for imports [s]
+WORKER_START_TIMEOUT_S = 300.0  # longest time from start to `ready`, for imports [s]
 PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
 
@@ -90,8 +90,8 @@ class Worker:
         silence = time.monotonic() - self.last_message
         if self.job and silence > limits.silence_s:
             return f"no new frame for {limits.silence_s:g} s"
-        if not self.ready and silence > START_S:
-            return f"not started after {START_S:g} s"
+        if not self.ready and silence > WORKER_START_TIMEOUT_S:
+            return f"not started after {WORKER_START_TIMEOUT_S:g} s"
         used = memory(self.process.pid)
         return f"{used:.2f} GB of memory used, {memory_gb:.2f} allowed" if used > memory_gb else ""
 
@@ -121,7 +121,7 @@ def _without_interrupts() -> Iterator[None]:
 
 def _threads() -> dict[str, str]:
     """Environment variables for threads of BLAS and numba: 1 unless set to a positive number."""
-    said = {name: os.environ.get(name, "") for name in THREADS}
+    said = {name: os.environ.get(name, "") for name in THREAD_VARIABLES}
     return {name: value if value.isdecimal() and int(value) > 0 else "1" for name, value in said.items()}
 
 

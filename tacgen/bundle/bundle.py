@@ -23,7 +23,17 @@ from tacgen.base.version import __version__
 from tacgen.bundle.chunks import Column, FrameReader, rounded
 from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened, written_file
 from tacgen.bundle.scene_words import finger_text, shape_text
-from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, as_stored, attributes, entry, shape_problem
+from tacgen.bundle.schema import (
+    BUNDLE_ATTRS,
+    BUNDLE_FORMAT,
+    JSON_ATTRS,
+    OPTIONAL_ATTRS,
+    UNIT_SYSTEM,
+    as_stored,
+    attributes,
+    entry,
+    shape_problem,
+)
 from tacgen.bundle.stored_json import parsed
 
 if TYPE_CHECKING:
@@ -50,8 +60,9 @@ class Writer:
                 writer.append({"/frames/force": force, "/frames/rgb": image})
             writer.finish()
 
-    Leaving the block without `finish` removes the part file. `attrs` are those of ATTRS and OPTIONAL that the writer
-    does not set itself; mappings and lists are stored as JSON. Arrays must have the shape and kind of the layout.
+    Leaving the block without `finish` removes the part file. `attrs` are those of BUNDLE_ATTRS and OPTIONAL_ATTRS that
+    the writer does not set itself; mappings and lists are stored as JSON. Arrays must have the shape and kind of the
+    layout.
 
     Raises:
         ValueError, TypeError: an attribute, path, shape or type that is not in the tables (a bug in the caller).
@@ -60,7 +71,12 @@ class Writer:
     """
 
     def __init__(self, path: Path, attrs: Mapping[str, Any], frames: int) -> None:
-        own = {"tacgen_format": FORMAT, "tacgen_version": __version__, "units": UNITS, "frames_planned": frames}
+        own = {
+            "tacgen_format": BUNDLE_FORMAT,
+            "tacgen_version": __version__,
+            "units": UNIT_SYSTEM,
+            "frames_planned": frames,
+        }
         self.path, self.frames, self.appended = Path(path), frames, 0
         self._attrs: dict[str, Any] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
         self._sizes: dict[str, int] = {}
@@ -290,9 +306,9 @@ def _bundle(path: Path, file: Any, group: str = "/") -> Bundle:
         wrong = str(error)
     if not isinstance(attrs.get("tacgen_format"), int):
         raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED_HINT * ("tacgen_pack" in attrs))
-    if attrs["tacgen_format"] > FORMAT:
+    if attrs["tacgen_format"] > BUNDLE_FORMAT:
         newer = f"bundle format {attrs['tacgen_format']}, written by tacgen {attrs.get('tacgen_version')}"
-        raise UserError(f"{path}: {newer}; this tacgen reads up to {FORMAT}: upgrade it")
+        raise UserError(f"{path}: {newer}; this tacgen reads up to {BUNDLE_FORMAT}: upgrade it")
     if attrs.get("complete") is not True:
         raise Unfinished(f"{path}: unfinished: its writer was stopped")
     try:
@@ -356,21 +372,21 @@ def _shared(value: Any) -> Any:
 
 
 def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]:
-    """The attributes unchanged; ValueError unless they are those of ATTRS and OPTIONAL."""
+    """The attributes unchanged; ValueError unless they are those of BUNDLE_ATTRS and OPTIONAL_ATTRS."""
     last = set() if finished else {"status", "reason", *NOT_IN_DIGEST}
-    if missing := [name for name in ATTRS if name not in attrs and name not in last]:
+    if missing := [name for name in BUNDLE_ATTRS if name not in attrs and name not in last]:
         raise ValueError(f"attribute {missing[0]!r} is missing")
     for name, value in attrs.items():
-        wanted = (ATTRS | OPTIONAL).get(name)
+        wanted = (BUNDLE_ATTRS | OPTIONAL_ATTRS).get(name)
         if wanted is None or name in last:
-            raise ValueError(f"attribute {name!r} is not in the table of format {FORMAT}")
+            raise ValueError(f"attribute {name!r} is not in the table of format {BUNDLE_FORMAT}")
         if type(value) is not wanted[0]:
             raise ValueError(f"attribute {name!r} is {str(value)[:60]!r}, expected {wanted[0].__name__}")
         if isinstance(value, str):
             value.encode()  # ValueError if it is not valid text: HDF5 stores any bytes
-        if isinstance(value, str) and name in STORED:
+        if isinstance(value, str) and name in JSON_ATTRS:
             try:
-                parsed(STORED[name], value)
+                parsed(JSON_ATTRS[name], value)
             except ValueError as error:
                 raise ValueError(f"attribute {name!r}: {error}") from None
     if finished and attrs["status"] not in ("ok", "rejected"):

@@ -10,10 +10,10 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.scene_words import finger_text, rounded, shape_text
-from tacgen.outputs.contact_modes import MODES
+from tacgen.outputs.contact_modes import CONTACT_MODES
 
-MODE = "/frames/events/mode"
-VERBS = {  # of an instruction, after the first contact
+EVENT_MODE_PATH = "/frames/events/mode"
+SEGMENT_VERBS = {  # of an instruction, after the first contact
     "hold": "hold",
     "slide": "slide",
     "twist": "twist",
@@ -49,7 +49,7 @@ def task(bundle: Bundle) -> str:
     """An instruction for the scene: its movements without amounts or the object, none of the labels: `Press the object
     into the sensor, slide and lift it.`"""
     kinds = [next((kind for kind, keys in move.items() if keys), "") for move in bundle.recipe.get("trajectory", ())]
-    verbs = [VERBS[kind] for kind in dict.fromkeys(kinds) if kind in VERBS]
+    verbs = [SEGMENT_VERBS[kind] for kind in dict.fromkeys(kinds) if kind in SEGMENT_VERBS]
     first = "Close the fingers on the object" if "close" in kinds else "Press the object into the sensor"
     if not verbs:
         return f"{first}."
@@ -58,13 +58,13 @@ def task(bundle: Bundle) -> str:
 
 
 def modes(bundle: Bundle) -> list[str]:
-    """The contact mode of each frame, by its name in MODES. Raises Missing: `events` is not in the bundle."""
-    return [MODES[k] if 0 <= k < len(MODES) else "unknown" for k in bundle[MODE]]
+    """The contact mode of each frame, by its name in CONTACT_MODES. Raises Missing: `events` is not in the bundle."""
+    return [CONTACT_MODES[k] if 0 <= k < len(CONTACT_MODES) else "unknown" for k in bundle[EVENT_MODE_PATH]]
 
 
 def changes(bundle: Bundle) -> list[Change]:
     """The first frame, and each frame whose contact mode differs from that of the frame before."""
-    if MODE not in bundle:
+    if EVENT_MODE_PATH not in bundle:
         return []
     named = modes(bundle)
     times = bundle["/frames/time"].tolist() if "/frames/time" in bundle else [None] * len(named)

@@ -21,26 +21,28 @@ from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parent
 MAX_IMBALANCE = 1e-3  # largest force imbalance, and residual, over the contact force [-]
 IMBALANCE_IN_FOLD = 5e-2  # the same in a frame with damped steps, which ends before it is in balance [-]
 MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
-LIGHT_CONTACT = 0.01  # smallest pressure scale of a frame, over the scene's peak pressure [-]
-COULOMB_EXCESS = 1e-3  # over friction x peak pressure [-]: four times the rounding of both maps to 13 bits
+MIN_PRESSURE_SCALE = 0.01  # smallest pressure scale of a frame, over the scene's peak pressure [-]
+MAX_COULOMB_EXCESS = 1e-3  # over friction x peak pressure [-]: four times the rounding of both maps to 13 bits
 FLOAT32_ERROR = 1e-6  # rounding error of maps, over the frame's peak [-]
 VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
 VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]
 MAX_MISFIT = 0.05  # largest difference of a map's resultant from the force, over the force, and unseen share [-]
-MISFITS = {  # rows under /frames/quality, and what they mean
+MISFIT_ROWS = {  # rows under /frames/quality, and what they mean
     "pressure_resultant": "/frames/pressure does not add up to the force, by {} of it",
     "traction_resultant": "/frames/traction does not add up to the force, by {} of it",
     "force_map_resultant": "/frames/force_map does not add up to the force, by {} of it",
     "unseen_force": "pressure and traction do not show gel that is hidden or outside the picture: {} of the normal"
     " forces",
 }
-UNIQUE, RESIDUAL, DAMPED = (f"/frames/quality/{name}" for name in ("unique", "residual", "damped_steps"))
-FOLDED = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
-NO_CONTACT = f"the indenter {approach.NO_CONTACT}"  # beginning of a bundle's note
+UNIQUE_PATH, RESIDUAL_PATH, DAMPED_STEPS_PATH = (
+    f"/frames/quality/{name}" for name in ("unique", "residual", "damped_steps")
+)
+FOLDED_NOTE = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
+NO_CONTACT_NOTE = f"the indenter {approach.NO_CONTACT_MESSAGE}"  # beginning of a bundle's note
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
 Seen = dict[tuple[Path, str], str]
-ANY = dataset.PlannedKeys(None)  # of a bundle that is in no folder with a plan
+ANY_PLANNED_KEYS = dataset.PlannedKeys(None)  # of a bundle that is in no folder with a plan
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def check(path: Path) -> list[Finding]:
     if not path.is_dir():
         if not path.exists():
             raise UserError(f"{path}: no such file or folder")
-        return _leftover(path) if atomic_file.is_part(path) else _file(path, {}, ANY)
+        return _leftover(path) if atomic_file.is_part(path) else _file(path, {}, ANY_PLANNED_KEYS)
     if dataset.is_packed(path):
         return _packed(path)
     files, packs = dataset.files(path), dataset.packs(path)
@@ -95,7 +97,7 @@ def _packed(folder: Path) -> list[Finding]:
     except UserError as error:
         return [Finding(folder, "error", line.removeprefix(f"{folder}: ")) for line in error.lines]
     seen: Seen = {}
-    return [f for path, group in scenes for f in _file(path, seen, ANY, group)]
+    return [f for path, group in scenes for f in _file(path, seen, ANY_PLANNED_KEYS, group)]
 
 
 def _file(path: Path, seen: Seen, keys: dataset.PlannedKeys, group: str = "/") -> list[Finding]:
@@ -111,7 +113,7 @@ def _file(path: Path, seen: Seen, keys: dataset.PlannedKeys, group: str = "/") -
             return [Finding(path, "error", f"{name} is a copy of {first}: one of them was replaced")]
         findings = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
         if not findings:  # the checks below rely on the layout
-            findings = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
+            findings = [Finding(path, "error", message) for rule in CHECK_RULES for message in rule(bundle)]
     except UserError as error:
         level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"
         return [Finding(path, level, line.removeprefix(f"{path}: ")) for line in error.lines]
@@ -120,7 +122,7 @@ def _file(path: Path, seen: Seen, keys: dataset.PlannedKeys, group: str = "/") -
     if bundle.attrs["status"] != "ok":
         findings.append(Finding(path, "rejected", bundle.attrs["reason"]))
     if all(finding.level == "rejected" for finding in findings):
-        findings += [Finding(path, "note", message) for rule in NOTES for message in rule(bundle)]
+        findings += [Finding(path, "note", message) for rule in NOTE_RULES for message in rule(bundle)]
     return findings
 
 
@@ -167,8 +169,8 @@ def _friction(bundle: Bundle) -> Iterator[str]:
         pressure, size = bundle["/frames/pressure"], np.linalg.norm(bundle["/frames/traction"], axis=-1)
         excess = (size - friction * np.maximum(pressure, 0)).max(axis=(1, 2))
         peak = pressure.max(axis=(1, 2))
-        peak = np.maximum(peak, LIGHT_CONTACT * peak.max(initial=0.0))  # light contact: relative to the scene
-        allowed = (COULOMB_EXCESS * friction + FLOAT32_ERROR) * peak
+        peak = np.maximum(peak, MIN_PRESSURE_SCALE * peak.max(initial=0.0))  # light contact: relative to the scene
+        allowed = (MAX_COULOMB_EXCESS * friction + FLOAT32_ERROR) * peak
         yield from _say_frames(excess > allowed, f"/frames/traction exceeds {friction:g} x pressure by", excess, "MPa")
     if "/frames/slip" in bundle and "/frames/contact" in bundle:
         outside = (bundle["/frames/slip"] & ~bundle["/frames/contact"]).any(axis=(1, 2))
@@ -179,7 +181,7 @@ def _quality(bundle: Bundle) -> Iterator[str]:
     """The quality figures that the solver recorded."""
     if "/frames/quality/force_balance" in bundle:
         balance = bundle["/frames/quality/force_balance"]
-        folding = bundle[DAMPED] > 0 if DAMPED in bundle else np.zeros(len(balance), bool)
+        folding = bundle[DAMPED_STEPS_PATH] > 0 if DAMPED_STEPS_PATH in bundle else np.zeros(len(balance), bool)
         most = np.where(folding, IMBALANCE_IN_FOLD, MAX_IMBALANCE)
         yield from _say_frames(balance > most, "forces do not balance:", balance, "of the force")
     if "/frames/quality/min_gap_mm" in bundle:
@@ -271,12 +273,12 @@ def _holds(found: Any, wanted: Any) -> bool:
 
 
 def misfits(bundle: Bundle) -> dict[str, np.ndarray]:
-    """Rows of MISFITS that a bundle has, each (N,), scaled down in light contact."""
-    rows = {name: path for name in MISFITS if (path := f"/frames/quality/{name}") in bundle}
+    """Rows of MISFIT_ROWS that a bundle has, each (N,), scaled down in light contact."""
+    rows = {name: path for name in MISFIT_ROWS if (path := f"/frames/quality/{name}") in bundle}
     if not rows or "/frames/force" not in bundle:
         return {}
     force = np.linalg.norm(bundle["/frames/force"], axis=1)
-    scale = force / np.maximum(np.maximum(force, LIGHT_CONTACT * force.max(initial=0.0)), np.finfo(float).tiny)
+    scale = force / np.maximum(np.maximum(force, MIN_PRESSURE_SCALE * force.max(initial=0.0)), np.finfo(float).tiny)
     return {name: scale * bundle[path] for name, path in rows.items()}
 
 
@@ -284,27 +286,38 @@ def _maps(bundle: Bundle) -> Iterator[str]:
     """Whether maps add up to the force."""
     for name, value in misfits(bundle).items():
         bad = value > MAX_MISFIT
-        yield from _say_frames(bad, MISFITS[name].format(f"{value.max(initial=0.0):.2g}"))
+        yield from _say_frames(bad, MISFIT_ROWS[name].format(f"{value.max(initial=0.0):.2g}"))
 
 
 def _contact(bundle: Bundle) -> Iterator[str]:
     """Whether the scene touches at all, as its run has found."""
-    yield from (note for note in json.loads(bundle.attrs.get("notes", "[]")) if note.startswith(NO_CONTACT))
+    yield from (note for note in json.loads(bundle.attrs.get("notes", "[]")) if note.startswith(NO_CONTACT_NOTE))
 
 
 def _folds(bundle: Bundle) -> Iterator[str]:
     """Frames whose forces may depend on the step size."""
-    if UNIQUE in bundle:
-        folded = ~bundle[UNIQUE]
-        off = bundle[RESIDUAL][folded].max(initial=0.0)
+    if UNIQUE_PATH in bundle:
+        folded = ~bundle[UNIQUE_PATH]
+        off = bundle[RESIDUAL_PATH][folded].max(initial=0.0)
         yield from _say_frames(
-            folded, FOLDED + (f", by {off:.1%} out of balance at most" if off > MAX_IMBALANCE else "")
+            folded, FOLDED_NOTE + (f", by {off:.1%} out of balance at most" if off > MAX_IMBALANCE else "")
         )
 
 
 Rule = Callable[[Bundle], Iterator[str]]
-RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers, _values, _files)
-NOTES: tuple[Rule, ...] = (_maps, _contact, _folds)
+CHECK_RULES: tuple[Rule, ...] = (
+    _finite,
+    _pose,
+    _images,
+    _pressure,
+    _friction,
+    _quality,
+    _repeats,
+    _markers,
+    _values,
+    _files,
+)
+NOTE_RULES: tuple[Rule, ...] = (_maps, _contact, _folds)
 
 
 def _changed(values: np.ndarray, threshold: float = 0.0) -> np.ndarray:

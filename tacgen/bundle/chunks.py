@@ -19,9 +19,10 @@ from tacgen.bundle.hdf5_file import add_attributes, dataset_at, has_texts, new_d
 from tacgen.bundle.schema import entry
 
 Array = np.ndarray
-PICTURE, OTHER = 1, 2  # libdeflate's level: 1 takes two thirds as long as 2 for noise, twice as long for zeros
-FILTERS = (2, 1)  # HDF5's numbers of shuffle and deflate
-SMALL = 4096  # [bytes] chunks up to this size hold several small frames
+# libdeflate's level: 1 takes two thirds as long as 2 for noise, twice as long for zeros
+PICTURE_DEFLATE_LEVEL, OTHER_DEFLATE_LEVEL = 1, 2
+CHUNK_FILTERS = (2, 1)  # HDF5's numbers of shuffle and deflate
+MAX_SHARED_CHUNK_BYTES = 4096  # [bytes] chunks up to this size hold several small frames
 
 
 class Column:
@@ -40,11 +41,11 @@ class Column:
         self._sums: dict[tuple[int, ...], int] = {}  # offset of each chunk -> CRC-32 of its stored bytes
         self._waiting: list[Array] = []
         self._parts = first.shape[-1] if first.ndim == 3 and first.dtype.kind == "f" else 1
-        self._level = PICTURE if "H" in entry(path).dims else OTHER
+        self._level = PICTURE_DEFLATE_LEVEL if "H" in entry(path).dims else OTHER_DEFLATE_LEVEL
         chunk = (*first.shape[:-1], 1) if self._parts > 1 else first.shape
         shape, self._rows = first.shape, 0
         if frames is not None:
-            self._rows = max(1, min(frames, SMALL // max(1, first.nbytes)))
+            self._rows = max(1, min(frames, MAX_SHARED_CHUNK_BYTES // max(1, first.nbytes)))
             shape, chunk = (frames, *shape), (self._rows, *chunk)
         self.data = new_dataset(file, path, first.dtype, shape, chunk, self._level)
         add_attributes(self.data, attrs)
@@ -92,7 +93,7 @@ class FrameReader:
         filters = tuple(packing.get_filter(i)[0] for i in range(packing.get_nfilters()))
         self.data, self.dtype, self.shape = data, data.dtype, data.shape[1:]
         self._parts = data.shape[-1] if chunk == (1, *self.shape[:-1], 1) else 1
-        whole = filters == FILTERS and math.prod(data.shape) > 0
+        whole = filters == CHUNK_FILTERS and math.prod(data.shape) > 0
         self.ours = whole and (self._parts > 1 or chunk == (1, *self.shape))
 
     def __getitem__(self, index: int) -> Array:

@@ -21,11 +21,11 @@ from tacgen.bundle.journal import read_plan
 from tacgen.bundle.stored_json import Name, Stored, Value
 from tacgen.bundle.stored_json import read as read_json
 
-INDEX = "index.json"
+INDEX_FILE = "index.json"
 PACK_FORMAT = 1
-VIRTUAL = "frames.h5"  # all frames of a packed folder as virtual datasets
-SHARD = "shard-{:05d}.h5"
-CARDS = ("README.md", "DATASET_CARD.md")  # of a data set; the second one if the first is somebody's
+VIRTUAL_FRAMES_FILE = "frames.h5"  # all frames of a packed folder as virtual datasets
+SHARD_FILE = "shard-{:05d}.h5"
+CARD_FILES = ("README.md", "DATASET_CARD.md")  # of a data set; the second one if the first is somebody's
 
 
 class Shard(Stored):
@@ -77,7 +77,7 @@ def scenes(source: Path, *, merge: bool = False) -> list[Bundle]:
         raise UserError(f"{source}: no such file or folder") from None
     except OSError as error:
         _refuse(error)
-    if source.name == INDEX:
+    if source.name == INDEX_FILE:
         source = source.parent
     if not source.is_dir():
         return [read(source)]
@@ -185,12 +185,12 @@ def _refuse(error: OSError) -> None:
 
 def is_packed(folder: Path) -> bool:
     """Whether a folder holds shards and their index."""
-    return os.path.exists(folder / INDEX)  # False without permission
+    return os.path.exists(folder / INDEX_FILE)  # False without permission
 
 
 def _is_pack(folder: Path) -> bool:
     """Whether a folder that the user did not name is packed: its index.json may belong to another program."""
-    return is_packed(folder) and os.path.exists(folder / SHARD.format(0))
+    return is_packed(folder) and os.path.exists(folder / SHARD_FILE.format(0))
 
 
 def packed(folder: Path) -> list[tuple[Path, str]]:
@@ -204,7 +204,7 @@ def packed(folder: Path) -> list[tuple[Path, str]]:
     for shard in index.shards:
         path = folder / shard.file
         if not path.is_file():
-            problems.append(f"{path}: missing, though {INDEX} names it")
+            problems.append(f"{path}: missing, though {INDEX_FILE} names it")
         elif path.stat().st_size != shard.bytes:
             problems.append(f"{path}: damaged: {path.stat().st_size} bytes long, expected {shard.bytes}")
     if problems:
@@ -214,7 +214,7 @@ def packed(folder: Path) -> list[tuple[Path, str]]:
 
 def read_index(folder: Path) -> Index:
     """The contents of index.json. Raises UserError: unreadable, of another program, or of a newer format."""
-    path = folder / INDEX
+    path = folder / INDEX_FILE
     number = read_json(_Format, path).tacgen_pack
     if number > PACK_FORMAT:
         raise UserError(f"{path}: pack format {number}; this tacgen reads up to {PACK_FORMAT}: upgrade it")

@@ -5,14 +5,25 @@ from collections.abc import Collection
 from tacgen.base.errors import UserError
 from tacgen.outputs import LAYOUT
 
-PER_FRAME = ("/frames/", "/fields/")  # groups whose datasets have short names
-SHOWN = "force", "torque", "pressure", "traction", "height", "normals", "nodal_stress", "displacement", "markers", "rgb"
+PER_FRAME_GROUPS = ("/frames/", "/fields/")  # groups whose datasets have short names
+FIRST_FIELDS = (
+    "force",
+    "torque",
+    "pressure",
+    "traction",
+    "height",
+    "normals",
+    "nodal_stress",
+    "displacement",
+    "markers",
+    "rgb",
+)
 
 
 def short(paths: Collection[str]) -> dict[str, str]:
     """Dataset path by short name, those that are read most often first."""
-    named = {path.split("/", 2)[2]: path for path in paths if path.startswith(PER_FRAME)}
-    return {name: named.pop(name) for name in SHOWN if name in named} | named
+    named = {path.split("/", 2)[2]: path for path in paths if path.startswith(PER_FRAME_GROUPS)}
+    return {name: named.pop(name) for name in FIRST_FIELDS if name in named} | named
 
 
 def path_of(name: str, paths: Collection[str]) -> str:

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.mechanics.expected_error import FACTOR
+from tacgen.mechanics.expected_error import ERROR_ESTIMATE_FACTOR
 
-STD, RELATIVE = "/frames/uncertainty/force", "/frames/quality/expected_force_error"
-BY_INPUTS = "standard deviation by the recipe's uncertainty"
-BY_MESH = f"by the mesh, within a factor of {FACTOR}"
+FORCE_STD_PATH, FORCE_ERROR_PATH = "/frames/uncertainty/force", "/frames/quality/expected_force_error"
+STD_BY_UNCERTAINTY = "standard deviation by the recipe's uncertainty"
+ERROR_BY_MESH = f"by the mesh, within a factor of {ERROR_ESTIMATE_FACTOR}"
 
 
 class ForceError(NamedTuple):
@@ -27,8 +27,8 @@ class ForceError(NamedTuple):
 def force_error(bundle: Bundle) -> ForceError | None:
     """The expected error of the force: that of the recipe's `uncertainty` where it was asked for, else the error by the
     mesh that is expected at its quality; None if a bundle of an earlier version has neither."""
-    if STD in bundle:
-        return ForceError(np.linalg.norm(bundle[STD], axis=1), BY_INPUTS)
-    if RELATIVE in bundle and "/frames/force" in bundle:
-        return ForceError(bundle[RELATIVE] * np.linalg.norm(bundle["/frames/force"], axis=1), BY_MESH)
+    if FORCE_STD_PATH in bundle:
+        return ForceError(np.linalg.norm(bundle[FORCE_STD_PATH], axis=1), STD_BY_UNCERTAINTY)
+    if FORCE_ERROR_PATH in bundle and "/frames/force" in bundle:
+        return ForceError(bundle[FORCE_ERROR_PATH] * np.linalg.norm(bundle["/frames/force"], axis=1), ERROR_BY_MESH)
     return None

@@ -17,19 +17,21 @@ import numpy as np
 
 from tacgen.base import regular_file
 from tacgen.base.errors import UserError
-from tacgen.bundle.schema import FORMAT, entry, shape_problem
+from tacgen.bundle.schema import BUNDLE_FORMAT, entry, shape_problem
 from tacgen.outputs import LAYOUT
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-LARGEST = 2**40  # largest file [bytes]
-FILTERS = frozenset({1, 2, 3})  # deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
-RATIO = 1100  # largest ratio of decompressed to compressed size; that of deflate is 1032 [-]
-SMALL = 4096  # size of a chunk that may be larger than its data [bytes]
-GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
-HEAP = re.compile(rb"GCOL\x01\0\0\0")  # signature of a global heap, in which HDF5 stores strings
-HEAD = 8  # length of the signature [bytes]
-LOOKED_AT = 2**16  # bytes of a read in which it is looked for: HDF5 reads the first 4096 of a heap by themselves
-LARGEST_HEAP = 2**26  # largest heap that is checked [bytes]
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+MAX_HDF5_BYTES = 2**40  # largest file [bytes]
+# deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
+ALLOWED_FILTERS = frozenset({1, 2, 3})
+MAX_DEFLATE_RATIO = 1100  # largest ratio of decompressed to compressed size; that of deflate is 1032 [-]
+MAX_PADDED_CHUNK_BYTES = 4096  # size of a chunk that may be larger than its data [bytes]
+LAYOUT_GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
+HEAP_SIGNATURE = re.compile(rb"GCOL\x01\0\0\0")  # signature of a global heap, in which HDF5 stores strings
+HEAP_SIGNATURE_BYTES = 8  # length of the signature [bytes]
+# bytes of a read in which it is looked for: HDF5 reads the first 4096 of a heap by themselves
+HEAP_SEARCH_BYTES = 2**16
+MAX_HEAP_BYTES = 2**26  # largest heap that is checked [bytes]
 
 
 class Damaged(UserError):
@@ -51,15 +53,15 @@ class BundleFile(io.FileIO):
         """As FileIO's. Raises OSError: a heap is damaged."""
         start = self.tell()
         count = super().readinto(buffer) or 0
-        for match in HEAP.finditer(memoryview(buffer)[: min(count, LOOKED_AT)]):
+        for match in HEAP_SIGNATURE.finditer(memoryview(buffer)[: min(count, HEAP_SEARCH_BYTES)]):
             self._check_heap(start + match.start())
         return count
 
     def _check_heap(self, start: int) -> None:
         """Each object of a heap is an index (2 bytes, 0: free), 6 other bytes, the size (8 bytes) and the content."""
-        size = int.from_bytes(os.pread(self.fileno(), 8, start + HEAD), "little")
-        heap = os.pread(self.fileno(), min(size, LARGEST_HEAP), start)
-        at = HEAD + 8
+        size = int.from_bytes(os.pread(self.fileno(), 8, start + HEAP_SIGNATURE_BYTES), "little")
+        heap = os.pread(self.fileno(), min(size, MAX_HEAP_BYTES), start)
+        at = HEAP_SIGNATURE_BYTES + 8
         while at + 16 <= len(heap):
             length = int.from_bytes(heap[at + 8 : at + 16], "little")
             used = heap[at : at + 2] != b"\0\0"
@@ -77,11 +79,11 @@ def open_file(path: Path) -> Any:
     import h5py
 
     try:
-        raw = BundleFile(regular_file.descriptor(path, LARGEST))
+        raw = BundleFile(regular_file.descriptor(path, MAX_HDF5_BYTES))
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
     try:
-        if raw.read(len(SIGNATURE)) != SIGNATURE:
+        if raw.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
             raise UserError(f"{path}: not an HDF5 file")
         return h5py.File(raw, "r")
     except BaseException as error:
@@ -129,7 +131,7 @@ def item_at(group: Any, path: str) -> Any:
     return group
 
 
-def not_here(data: Any, filters: Set[int] = FILTERS) -> str:
+def not_here(data: Any, filters: Set[int] = ALLOWED_FILTERS) -> str:
     """Why the values of a low-level dataset cannot be read from this file alone, by these filters; "" if they can."""
     from h5py import h5d
 
@@ -139,7 +141,7 @@ def not_here(data: Any, filters: Set[int] = FILTERS) -> str:
     if not {packing.get_filter(i)[0] for i in range(packing.get_nfilters())} <= filters:
         return "is compressed in a way that cannot be read here: use gzip"
     claimed, stored = data.dtype.itemsize * math.prod(data.shape), data.get_storage_size()
-    return f"claims {claimed} bytes, and stores {stored}" if claimed > RATIO * stored else ""
+    return f"claims {claimed} bytes, and stores {stored}" if claimed > MAX_DEFLATE_RATIO * stored else ""
 
 
 def datasets(root: Any) -> dict[str, tuple[int, ...]]:
@@ -161,10 +163,10 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
             item = h5o.open(group, name)
             if isinstance(item, h5d.DatasetID):
                 shapes[path] = _checked_shape(path, item, sizes)
-            elif path in GROUPS and isinstance(item, h5g.GroupID):
+            elif path in LAYOUT_GROUPS and isinstance(item, h5g.GroupID):
                 walk(item, path)
             else:
-                raise ValueError(f"format {FORMAT} has no group {path}")
+                raise ValueError(f"format {BUNDLE_FORMAT} has no group {path}")
 
     walk(root.id, "")
     return dict(sorted(shapes.items()))
@@ -249,6 +251,8 @@ def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ..
     if problem := not_here(data):
         raise ValueError(f"{path} {problem}")
     whole = dtype.itemsize * math.prod(max(1, n) for n in shape)
-    if packing.get_layout() == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(whole, SMALL):
+    if packing.get_layout() == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(
+        whole, MAX_PADDED_CHUNK_BYTES
+    ):
         raise ValueError(f"{path} is stored in pieces larger than itself")
     return shape

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 Shard = tuple[int, int]  # (i, N): the scenes whose index modulo N is i
 # of the files that runs write: N of their shards, and the seconds that a scene took
-NAME = re.compile(r"(plan|journal)(?:-\d+-of-(\d+))?\.jsonl?|scene-\d+(?:-[LR])?\.(timing)\.json")
-BEGINNINGS = {  # of their contents: a file that begins otherwise is not a run's, and stays untouched
+RUN_FILE_NAME = re.compile(r"(plan|journal)(?:-\d+-of-(\d+))?\.jsonl?|scene-\d+(?:-[LR])?\.(timing)\.json")
+RUN_FILE_BEGINNINGS = {  # of their contents: a file that begins otherwise is not a run's, and stays untouched
     "plan": re.compile(rb'\{"name": "(?:[^"\\]|\\.)*", "scenes": \[\s*\{"scene": "'),
     "journal": re.compile(rb'\{"time": "[^"]*", "run": "'),
     "timing": re.compile(rb'\{\s*"frames": \d+,\s*"seconds": \{'),
 }
-HEAD = 65536  # bytes at the beginning of a file in which these are looked for
+BEGINNING_BYTES = 65536  # bytes at the beginning of a file in which these are looked for
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def claimed(plan: "Plan", folder: Path, shard: Shard | None) -> Iterator[str]:
 
     written = [f"plan{_suffix(shard)}.json", f"journal{_suffix(shard)}.jsonl"]
     for name in [*written, *os.listdir(folder)]:
-        match = NAME.fullmatch(name)
+        match = RUN_FILE_NAME.fullmatch(name)
         needed = match and (match[3] or name in written) and os.path.lexists(folder / name)
         if match and needed and not _is_ours(folder / name, match[1] or match[3]):
             text = "was not written by tacgen run, which needs this name: move it, or choose another folder"
@@ -74,7 +74,7 @@ def _files(folder: Path, kind: str) -> list[tuple[Path, str | None]]:
     """The plans or journals that runs wrote in a folder, sorted, each with the number of shards that its name gives."""
     ours = []
     for name in sorted(os.listdir(folder)):
-        match = NAME.fullmatch(name)
+        match = RUN_FILE_NAME.fullmatch(name)
         if match and match[1] == kind and _is_ours(folder / name, kind):
             ours.append((folder / name, match[2]))
     return ours
@@ -83,11 +83,11 @@ def _files(folder: Path, kind: str) -> list[tuple[Path, str | None]]:
 def _is_ours(path: Path, kind: str) -> bool:
     """Whether a file begins as those that runs write; an empty one holds nothing that could be lost."""
     try:
-        with regular_file.opened(path, stored_json.LARGEST) as file:
-            head = file.read(HEAD)
+        with regular_file.opened(path, stored_json.MAX_JSON_BYTES) as file:
+            head = file.read(BEGINNING_BYTES)
     except OSError:
         return False
-    return not head or BEGINNINGS[kind].match(head) is not None
+    return not head or RUN_FILE_BEGINNINGS[kind].match(head) is not None
 
 
 class PlannedScene(Stored):
@@ -166,7 +166,7 @@ def read_journal(folder: Path) -> Iterator[Event]:
     """
     for path, _ in _files(folder, "journal"):
         try:
-            lines = regular_file.read_bytes(path, stored_json.LARGEST).splitlines()
+            lines = regular_file.read_bytes(path, stored_json.MAX_JSON_BYTES).splitlines()
         except OSError as error:
             raise UserError(f"{path}: cannot be read: {why(error)}") from None
         for line in lines:

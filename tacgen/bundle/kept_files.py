@@ -1,6 +1,7 @@
 """Files that a scene's recipe names and that its bundle holds: the mesh of its object, the tables of its replays.
 
-What ships with tacgen is not kept, and no file that is LARGEST or more, since it would be in each bundle of a data set.
+What ships with tacgen is not kept, and no file that is MAX_KEPT_BYTES or more, since it would be in each bundle of a
+data set.
 """
 
 import hashlib
@@ -25,7 +26,7 @@ from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import KeyPath, Tree, at, format_path, put
 
-LARGEST = 16 * 2**20  # [bytes], a binary STL of 330 000 triangles
+MAX_KEPT_BYTES = 16 * 2**20  # [bytes], a binary STL of 330 000 triangles
 
 
 class Folder:
@@ -66,14 +67,19 @@ def _files(row: Row) -> Iterator[tuple[KeyPath, Path]]:
 
 def of(row: Row) -> dict[str, np.ndarray]:
     """The datasets of a scene's files, each (bytes,). Raises OSError: one of them cannot be read."""
-    kept = [(where, path) for where, path in _files(row) if path.stat().st_size < LARGEST]
-    return {_dataset(where): np.frombuffer(regular_file.read_bytes(path, LARGEST), np.uint8) for where, path in kept}
+    kept = [(where, path) for where, path in _files(row) if path.stat().st_size < MAX_KEPT_BYTES]
+    return {
+        _dataset(where): np.frombuffer(regular_file.read_bytes(path, MAX_KEPT_BYTES), np.uint8) for where, path in kept
+    }
 
 
 def note(row: Row) -> str:
     """The note on files that are too large to be kept; empty if there are none."""
-    names = [path.name for _, path in _files(row) if path.stat().st_size >= LARGEST]
-    text = f"{', '.join(names)} is larger than {LARGEST / 1e6:.2g} MB and not in the bundle: keep it beside the bundle"
+    names = [path.name for _, path in _files(row) if path.stat().st_size >= MAX_KEPT_BYTES]
+    text = (
+        f"{', '.join(names)} is larger than {MAX_KEPT_BYTES / 1e6:.2g} MB and not in the bundle: keep it beside the "
+        f"bundle"
+    )
     return text if names else ""
 
 

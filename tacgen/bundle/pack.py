@@ -13,7 +13,8 @@ from tacgen.bundle import dataset, whole_folder
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.hdf5_file import opened, written_file
 
-REOPENED = 100  # scenes copied before a shard is closed and opened again: HDF5 holds 20 to 50 kB a scene until then
+# scenes copied before a shard is closed and opened again: HDF5 holds 20 to 50 kB a scene until then
+SCENES_PER_SHARD_OPENING = 100
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def pack(bundles: Sequence[Bundle], out: Path, size_mb: float = 1024.0) -> Packe
         shards: list[dict[str, Any]] = []
         scenes: list[dict[str, Any]] = []
         for number, part in enumerate(_parts(good, size_mb * 1e6)):
-            path = folder / dataset.SHARD.format(number)
+            path = folder / dataset.SHARD_FILE.format(number)
             _write(path, [(names[i], good[i]) for i in part])
             for i in part:
                 kept = read(path, f"/{names[i]}")
@@ -59,7 +60,7 @@ def pack(bundles: Sequence[Bundle], out: Path, size_mb: float = 1024.0) -> Packe
             "shards": shards,
             "scenes": scenes,
         }
-        atomic_file.write(folder / dataset.INDEX, (json.dumps(index, indent=1) + "\n").encode())
+        atomic_file.write(folder / dataset.INDEX_FILE, (json.dumps(index, indent=1) + "\n").encode())
         join(folder)
     left_out = tuple(bundle.path.stem for bundle in bundles if bundle.attrs["status"] != "ok")
     frames = sum(scene["frames"] for scene in scenes)
@@ -80,7 +81,7 @@ def join(folder: Path) -> Path:
 
     bundles = dataset.scenes(folder)
     counts = [bundle.frames for bundle in bundles]
-    target = folder / dataset.VIRTUAL
+    target = folder / dataset.VIRTUAL_FRAMES_FILE
     with atomic_file.published(target) as sink:
         with written_file(sink, libver=("v110", "v110")) as file:
             file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
@@ -141,9 +142,9 @@ def _stored(bundle: Bundle) -> int:
 
 def _write(path: Path, scenes: Sequence[tuple[str, Bundle]]) -> None:
     with atomic_file.published(path) as sink:
-        for first in range(0, len(scenes), REOPENED):
+        for first in range(0, len(scenes), SCENES_PER_SHARD_OPENING):
             with written_file(sink, "r+" if first else "w", libver=("v110", "v110")) as file:
                 file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
-                for name, bundle in scenes[first : first + REOPENED]:
+                for name, bundle in scenes[first : first + SCENES_PER_SHARD_OPENING]:
                     with opened(bundle.path, bundle.group) as original:
                         file.copy(original, file, name)

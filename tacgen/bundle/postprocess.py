@@ -13,7 +13,7 @@ import numpy as np
 from tacgen.bundle.bundle import Bundle
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
-from tacgen.fem.stress_recovery import FULL, Recovery
+from tacgen.fem.stress_recovery import VOIGT_INDEX, Recovery
 from tacgen.outputs.contact_maps import tangents
 
 Array = np.ndarray
@@ -50,7 +50,7 @@ def map_force(bundle: Bundle, frame: int) -> Array:
 
 def tensor(stress: Array) -> Array:
     """The symmetric tensors (..., 3, 3)."""
-    full: Array = np.asarray(stress)[..., FULL]
+    full: Array = np.asarray(stress)[..., VOIGT_INDEX]
     return full
 
 

@@ -14,7 +14,7 @@ from tacgen.bundle import bundle, dataset
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.recipe.row import Row
 
-SHOWN = 3  # differing inputs that a message names
+MAX_SHOWN_INPUTS = 3  # differing inputs that a message names
 
 
 @dataclass(frozen=True)
@@ -104,8 +104,8 @@ def differences(made: bundle.Bundle, row: Row) -> str:
     now = {**row.document(), "sensor file": row.sensor_document(), "seed": row.seed, "scene": row.index}
     old, new = dict(_values(before)), dict(_values(now))
     changed = [path for path in dict.fromkeys([*new, *old]) if old.get(path) != new.get(path)]
-    said = [f"{path}: {_short(old.get(path))} -> {_short(new.get(path))}" for path in changed[:SHOWN]]
-    more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+    said = [f"{path}: {_short(old.get(path))} -> {_short(new.get(path))}" for path in changed[:MAX_SHOWN_INPUTS]]
+    more = f" and {len(changed) - MAX_SHOWN_INPUTS} more" if len(changed) > MAX_SHOWN_INPUTS else ""
     return (", ".join(said) or "another version of their keys") + more
 
 

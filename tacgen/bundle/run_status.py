@@ -15,7 +15,7 @@ from tacgen.bundle.journal import PlannedScene, read_journal, read_plan
 from tacgen.bundle.stored_json import Stored
 from tacgen.bundle.stored_json import read as read_json
 
-STATES = ("ok", "rejected", "failed", "damaged", "at work", "waiting")
+SCENE_STATES = ("ok", "rejected", "failed", "damaged", "at work", "waiting")
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Survey:
     def count(self) -> dict[str, int]:
         """Scenes by state; states that no scene is in are left out."""
         states = Counter(scene.state for scene in self.scenes)
-        return {state: states[state] for state in STATES if states[state]}
+        return {state: states[state] for state in SCENE_STATES if states[state]}
 
 
 def survey(folder: Path) -> Survey:

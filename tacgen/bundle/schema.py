@@ -10,19 +10,19 @@ from tacgen.bundle.stored_json import Stored, Value
 from tacgen.outputs import LAYOUT
 from tacgen.outputs.base import Entry
 
-FORMAT = 1
-UNITS = "mm N MPa s rad"
+BUNDLE_FORMAT = 1
+UNIT_SYSTEM = "mm N MPa s rad"
 
 
-ATTRS: dict[str, tuple[type, str]] = {
-    "tacgen_format": (int, f"format of this file, {FORMAT}"),
+BUNDLE_ATTRS: dict[str, tuple[type, str]] = {
+    "tacgen_format": (int, f"format of this file, {BUNDLE_FORMAT}"),
     "tacgen_version": (str, "version of tacgen that wrote it"),
     "recipe": (str, "resolved recipe, JSON"),
     "scene_index": (int, "row of the plan"),
     "seed": (int, "seed of this scene's random numbers"),
     "sensor": (str, "name of the sensor"),
     "sensor_sha256": (str, "of the resolved sensor"),
-    "units": (str, f"unit system, `{UNITS}`"),
+    "units": (str, f"unit system, `{UNIT_SYSTEM}`"),
     "solver": (str, "linear solver, or batch engine and device, and versions"),
     "input_key": (str, "sha256 of all resolved inputs: equal keys, equal bundles"),
     "frames_planned": (int, "frames the trajectory asks for; `status` tells whether all are here"),
@@ -34,7 +34,7 @@ ATTRS: dict[str, tuple[type, str]] = {
     "digest": (str, "sha256 over every dataset's path, type, shape, bytes and attributes, and these attributes"),
     "complete": (bool, "true, written last"),
 }
-OPTIONAL: dict[str, tuple[type, str]] = {
+OPTIONAL_ATTRS: dict[str, tuple[type, str]] = {
     "sensor_document": (str, "resolved sensor, JSON"),
     "mesh": (str, "quality of the mesh and its sha256, JSON: two tetrahedral meshes are never alike"),
     "contact": (str, "formulation of contact; no longer written, since there is one"),
@@ -82,7 +82,7 @@ class StoredMesh(Stored):
 
 
 # Attributes that are JSON, and the types that readers rely on.
-STORED: dict[str, Any] = {
+JSON_ATTRS: dict[str, Any] = {
     "recipe": StoredRecipe,
     "sensor_document": dict[str, Value],
     "mesh": StoredMesh,
@@ -95,7 +95,7 @@ def entry(path: str) -> Entry:
     """The layout's row for a dataset path; ValueError if the format has no such dataset."""
     row = LAYOUT.get(path) or LAYOUT.get(path.rpartition("/")[0] + "/*")
     if row is None:
-        raise ValueError(f"format {FORMAT} has no dataset {path}")
+        raise ValueError(f"format {BUNDLE_FORMAT} has no dataset {path}")
     return row
 
 

@@ -8,7 +8,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.dataset import contacts
 
 SPLITS = ("train", "val", "test")
-FRACTIONS = (0.8, 0.1, 0.1)  # shares of the contacts in each
+SPLIT_FRACTIONS = (0.8, 0.1, 0.1)  # shares of the contacts in each
 
 
 def divide(
@@ -39,7 +39,9 @@ def empty_parts(scenes: Sequence[Bundle]) -> list[str]:
     return [text] if missing else []
 
 
-def assigned(scenes: Sequence[Bundle], fractions: tuple[float, float, float] = FRACTIONS, seed: int = 0) -> list[str]:
+def assigned(
+    scenes: Sequence[Bundle], fractions: tuple[float, float, float] = SPLIT_FRACTIONS, seed: int = 0
+) -> list[str]:
     """The part of each scene, as `divide` chooses it: train, val or test. If there are few, a part may have none.
 
     Raises:

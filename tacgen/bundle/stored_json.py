@@ -7,10 +7,10 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
 from tacgen.base import regular_file
-from tacgen.base.csv_table import LARGEST_NUMBER
+from tacgen.base.csv_table import MAX_TABLE_VALUE
 from tacgen.base.errors import UserError, why
 
-LARGEST = 2**30  # bytes of a file
+MAX_JSON_BYTES = 2**30  # bytes of a file
 T = TypeVar("T")
 
 
@@ -32,8 +32,8 @@ Name = Annotated[str, AfterValidator(_step)]  # a single path component, so that
 def _bounded(value: JsonValue) -> JsonValue:
     for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _bounded(part)
-    if isinstance(value, int | float) and not abs(value) < LARGEST_NUMBER:
-        raise ValueError(f"must be a finite number below {LARGEST_NUMBER:g}")
+    if isinstance(value, int | float) and not abs(value) < MAX_TABLE_VALUE:
+        raise ValueError(f"must be a finite number below {MAX_TABLE_VALUE:g}")
     return value
 
 
@@ -43,7 +43,7 @@ Value = Annotated[JsonValue, AfterValidator(_bounded)]  # of any kind, with numb
 def read(kind: type[T], path: Path) -> T:
     """The contents of a file. Raises UserError: it cannot be read, or is damaged."""
     try:
-        content = regular_file.read_bytes(path, LARGEST)
+        content = regular_file.read_bytes(path, MAX_JSON_BYTES)
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {why(error)}") from None
     try:

@@ -17,8 +17,8 @@ from tacgen.base import atomic_file, regular_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.stored_json import Stored, read
 
-LIST = ".tacgen-export.json"
-SMALL = 2**20  # [bytes] size of files up to which somebody may have edited them
+EXPORT_LIST_FILE = ".tacgen-export.json"
+MAX_EDITABLE_BYTES = 2**20  # [bytes] size of files up to which somebody may have edited them
 
 
 class Listed(Stored):
@@ -54,9 +54,9 @@ def written(folder: Path, kind: str = "") -> Iterator[Path]:
             yield new
             if kind:
                 sizes = {name: size for name, size in _files(new).items() if size is not None}
-                digests = {name: _digest(new / name) for name, size in sizes.items() if size <= SMALL}
+                digests = {name: _digest(new / name) for name, size in sizes.items() if size <= MAX_EDITABLE_BYTES}
                 content = json.dumps({"kind": kind, "files": sizes, "digests": digests}, indent=1) + "\n"
-                atomic_file.write(new / LIST, content.encode())
+                atomic_file.write(new / EXPORT_LIST_FILE, content.encode())
             if folder.exists():
                 folder.rename(old)
             new.rename(folder)
@@ -85,19 +85,21 @@ def _refuse(folder: Path, kind: str) -> None:
     there = _files(folder)
     if not there:
         return
-    if not kind or LIST not in there:
+    if not kind or EXPORT_LIST_FILE not in there:
         raise UserError(f"{folder}: is not empty, it holds {min(there)}: choose another folder")
-    listed = read(Listed, folder / LIST)
+    listed = read(Listed, folder / EXPORT_LIST_FILE)
     if listed.kind != kind:
         raise UserError(f"{folder}: holds an export for {listed.kind}: choose another folder")
-    strangers = [name for name, size in there.items() if name != LIST and listed.files.get(name, -1) != size]
+    strangers = [
+        name for name, size in there.items() if name != EXPORT_LIST_FILE and listed.files.get(name, -1) != size
+    ]
     edited = (name for name, digest in listed.digests.items() if name in there and _digest(folder / name) != digest)
     if strangers := strangers or [*edited]:
         raise UserError(f"{folder}: {min(strangers)} is not of the export: move it, or choose another folder")
 
 
 def _digest(path: Path) -> str:
-    with regular_file.opened(path, SMALL, noted=False) as file:
+    with regular_file.opened(path, MAX_EDITABLE_BYTES, noted=False) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

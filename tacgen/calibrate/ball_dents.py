@@ -14,29 +14,31 @@ from tacgen import mechanics
 from tacgen.base import array_cache
 from tacgen.base.errors import UserError
 from tacgen.calibrate import press_faces
-from tacgen.calibrate.press_faces import DEEPEST, SHALLOWEST
+from tacgen.calibrate.press_faces import MAX_PRESS_DEPTH_RATIO, MIN_PRESS_DEPTH_RATIO
 from tacgen.optics.surface_grid import Untouched
 from tacgen.outputs import gel_surface
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
-VERSION = 1  # of this table, in the key of the cache
-NODES = 9  # depths at which each thickness is solved
-ANGLES = 16  # rays around the contact, along which the face is averaged
-SCALED = np.concatenate([np.linspace(0, 2, 81), np.geomspace(2, 12, 60)[1:]])  # radii over sqrt(ball radius x depth)
-POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
-FINE, LEAST_BLUR = 1200, 0.3  # most points of the radius on which slopes are smoothed, and the least width in these
-SAMPLES = 10  # points per standard deviation of the smoothing, at least unless FINE limits them
-WIDE = 0.75  # deepest press times the ball's radius, over the square of the largest contact radius
-LARGEST_SHARE = 0.8  # of the ball's radius: deepest press
+DENT_TABLE_VERSION = 1  # of this table, in the key of the cache
+DENT_DEPTHS = 9  # depths at which each thickness is solved
+DENT_RAYS = 16  # rays around the contact, along which the face is averaged
+# radii over sqrt(ball radius x depth)
+DENT_RADII = np.concatenate([np.linspace(0, 2, 81), np.geomspace(2, 12, 60)[1:]])
+HERTZ_FORCE_POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
+# most points of the radius on which slopes are smoothed, and the least width in these
+MAX_BLUR_POINTS, MIN_BLUR_SPACINGS = 1200, 0.3
+POINTS_PER_BLUR_STD = 10  # points per standard deviation of the smoothing, at least unless MAX_BLUR_POINTS limits them
+MAX_DENT_DEPTH_BY_WIDTH = 0.75  # deepest press times the ball's radius, over the square of the largest contact radius
+MAX_DEPTH_PER_BALL_RADIUS = 0.8  # of the ball's radius: deepest press
 
 
 @dataclass(frozen=True)
 class Dents:
     """Presses of one ball into a gel of one thickness; depths (n,) [mm] rise from above 0.
 
-    force (n,) [N] at the file's moduli; drop and slope (n, len(SCALED)): change of z over the depth, and of the slope
-    over sqrt(depth / ball radius), at SCALED radii; contact (n,): contact radius [mm].
+    force (n,) [N] at the file's moduli; drop and slope (n, len(DENT_RADII)): change of z over the depth, and of the
+    slope over sqrt(depth / ball radius), at DENT_RADII radii; contact (n,): contact radius [mm].
     """
 
     ball: float  # radius [mm]
@@ -49,8 +51,10 @@ class Dents:
 
     def force_at(self, depth: Array) -> Array:
         """Force (k,) [N] at depths (k,) [mm], at the file's moduli; 0 above the gel."""
-        rooted = PchipInterpolator(np.append(0.0, self.depth), np.append(0.0, self.force**POWER), extrapolate=True)
-        return np.asarray(np.maximum(rooted(np.maximum(depth, 0.0)), 0.0) ** (1 / POWER))
+        rooted = PchipInterpolator(
+            np.append(0.0, self.depth), np.append(0.0, self.force**HERTZ_FORCE_POWER), extrapolate=True
+        )
+        return np.asarray(np.maximum(rooted(np.maximum(depth, 0.0)), 0.0) ** (1 / HERTZ_FORCE_POWER))
 
     def contact_at(self, depth: float) -> float:
         """Contact radius [mm] at a depth [mm]."""
@@ -69,12 +73,16 @@ class Dents:
         drop, slope = ((1 - w) * table[k] + w * table[k + 1] for table in (self.drop, self.slope))
         reach = np.sqrt(self.ball * depth)
         width = blur / reach  # in scaled radii
-        fine = np.linspace(0, SCALED[-1], min(FINE, 2 + int(SAMPLES * SCALED[-1] / width)) if width else FINE)
-        radial = np.interp(fine, SCALED, slope)
-        if width > LEAST_BLUR * fine[1]:
+        fine = np.linspace(
+            0,
+            DENT_RADII[-1],
+            min(MAX_BLUR_POINTS, 2 + int(POINTS_PER_BLUR_STD * DENT_RADII[-1] / width)) if width else MAX_BLUR_POINTS,
+        )
+        radial = np.interp(fine, DENT_RADII, slope)
+        if width > MIN_BLUR_SPACINGS * fine[1]:
             both = np.concatenate([-radial[:0:-1], radial])  # odd in the radius
             radial = gaussian_filter1d(both, width / fine[1])[len(fine) - 1 :]
-        return (depth * np.interp(r / reach, SCALED, drop, right=0.0),
+        return (depth * np.interp(r / reach, DENT_RADII, drop, right=0.0),
                 np.sqrt(depth / self.ball) * np.interp(r / reach, fine, radial, right=0.0))  # fmt: skip
 
 
@@ -98,10 +106,12 @@ def solved(
     They are kept in the cache. Raises UserError: the solver fails before the last two depths.
     """
     thick = sensor.gel.thickness_mm - sensor.gel.drop_mm(*at)
-    largest = min(WIDE * widest**2 / ball, DEEPEST * thick, LARGEST_SHARE * ball)
-    depths = np.geomspace(max(0.02 * largest, SHALLOWEST * thick), largest, NODES)
+    largest = min(
+        MAX_DENT_DEPTH_BY_WIDTH * widest**2 / ball, MAX_PRESS_DEPTH_RATIO * thick, MAX_DEPTH_PER_BALL_RADIUS * ball
+    )
+    depths = np.geomspace(max(0.02 * largest, MIN_PRESS_DEPTH_RATIO * thick), largest, DENT_DEPTHS)
     key = array_cache.digest(
-        [VERSION, sensor.gel.model_dump_json(), ball, at, depths, friction, quality, NODES, SCALED]
+        [DENT_TABLE_VERSION, sensor.gel.model_dump_json(), ball, at, depths, friction, quality, DENT_DEPTHS, DENT_RADII]
     )
     found = array_cache.kept("dents", key, lambda: _solved(sensor, ball, at, depths, friction, quality))
     return Dents(ball, sensor.gel.thickness_mm, *found)
@@ -119,7 +129,7 @@ def _solved(
             around = _profile(untouched.pressed(problem, state), Untouched.of(sensor.gel), at, ball, float(depth))
             found.append((mechanics.normal_force(state), *around, _contact(problem, state)))
     except mechanics.NotConverged as error:
-        if len(found) < NODES - 2:
+        if len(found) < DENT_DEPTHS - 2:
             raise UserError(
                 f"a ball of {ball:g} mm pressed {depths[len(found)]:.3g} mm into a gel of"
                 f" {sensor.gel.thickness_mm:.3g} mm: cannot be solved: {error}"
@@ -137,17 +147,17 @@ def _contact(problem: mechanics.Problem, state: mechanics.State) -> float:
 def _profile(
     face: gel_surface.GelSurface, untouched: Untouched, at: tuple[float, float], ball: float, depth: float
 ) -> tuple[Array, Array]:
-    """Scaled change of z and of the slope at SCALED radii, averaged over the angle."""
-    reach, angle = np.sqrt(ball * depth), 2 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
-    r = SCALED * reach
+    """Scaled change of z and of the slope at DENT_RADII radii, averaged over the angle."""
+    reach, angle = np.sqrt(ball * depth), 2 * np.pi * (np.arange(DENT_RAYS) + 0.5) / DENT_RAYS
+    r = DENT_RADII * reach
     rest = np.array(at) + r[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     inside = (np.abs(rest) < face.rest[:, :2].max(axis=0)).all(axis=2)
     now = face.at(np.clip(rest.reshape(-1, 2), face.rest[:, :2].min(0), face.rest[:, :2].max(0)))
     now = now.reshape(*rest.shape[:2], 3)
     z = now[..., 2] - untouched.at(now[..., :2].reshape(-1, 2))[:, 2].reshape(inside.shape)
     away = np.hypot(*np.moveaxis(now[..., :2] - at, 2, 0))
-    lines = [np.interp(r, away[inside[:, k], k], z[inside[:, k], k], right=0.0) for k in range(ANGLES)]
-    seen = [r <= away[inside[:, k], k].max() for k in range(ANGLES)]
+    lines = [np.interp(r, away[inside[:, k], k], z[inside[:, k], k], right=0.0) for k in range(DENT_RAYS)]
+    seen = [r <= away[inside[:, k], k].max() for k in range(DENT_RAYS)]
     drop = np.sum(lines, axis=0) / np.maximum(np.sum(seen, axis=0), 1)
     slope = np.gradient(drop, r)
     return drop / depth, slope * np.sqrt(ball / depth)

@@ -15,12 +15,13 @@ from scipy.optimize import minimize
 from tacgen.calibrate.photos import PhotographedPress
 
 Array = np.ndarray
-WIDTH = 0.08  # contact radii: standard deviation of the Gaussian whose second derivative measures the bend
-STEPS = np.linspace(-3, 3, 17)  # WIDTHs inward and outward
-TRIED = np.arange(0.76, 1.1, 0.04)  # start values of the radius, over the given one
-AWAY, LEAST, MOST = 0.15, 0.75, 1.1  # largest shift of the centre and range of the radius, over the given radius
-ANGLES = 72  # points on the circle
-BEYOND = 1.2  # over the given radius: points whose ray leaves the picture before this are skipped
+BEND_WIDTH = 0.08  # contact radii: standard deviation of the Gaussian whose second derivative measures the bend
+BEND_OFFSETS = np.linspace(-3, 3, 17)  # WIDTHs inward and outward
+RADIUS_STARTS = np.arange(0.76, 1.1, 0.04)  # start values of the radius, over the given one
+# largest shift of the centre and range of the radius, over the given radius
+MAX_CENTRE_SHIFT, MIN_CIRCLE_RATIO, MAX_CIRCLE_RATIO = 0.15, 0.75, 1.1
+CIRCLE_POINTS = 72  # points on the circle
+CLEAR_RAY_RADII = 1.2  # over the given radius: points whose ray leaves the picture before this are skipped
 
 
 def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
@@ -28,18 +29,28 @@ def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
     if press.contact is None:
         return press
     change, given = press.picture.astype(float) - untouched, press.contact
-    angles, start, width = 2 * np.pi * np.arange(ANGLES) / ANGLES, np.array([*press.center, given]), WIDTH * given
+    angles, start, width = (
+        2 * np.pi * np.arange(CIRCLE_POINTS) / CIRCLE_POINTS,
+        np.array([*press.center, given]),
+        BEND_WIDTH * given,
+    )
     around = np.column_stack([np.cos(angles), np.sin(angles) / press.aspect])
-    far = np.array(press.center) + BEYOND * given * around
+    far = np.array(press.center) + CLEAR_RAY_RADII * given * around
     angles = angles[((far > 0) & (far < untouched.shape[1::-1])).all(axis=1)]
-    if len(angles) < ANGLES / 2:
+    if len(angles) < CIRCLE_POINTS / 2:
         return press
 
     def loss(circle: Array) -> float:
         return -bend(change, circle, width, angles, press.aspect)
 
-    first = start * [1, 1, min(TRIED, key=lambda share: loss(start * [1, 1, share]))]
-    reach = given * np.array([[-AWAY, AWAY], [-AWAY, AWAY], [LEAST - 1, MOST - 1]])
+    first = start * [1, 1, min(RADIUS_STARTS, key=lambda share: loss(start * [1, 1, share]))]
+    reach = given * np.array(
+        [
+            [-MAX_CENTRE_SHIFT, MAX_CENTRE_SHIFT],
+            [-MAX_CENTRE_SHIFT, MAX_CENTRE_SHIFT],
+            [MIN_CIRCLE_RATIO - 1, MAX_CIRCLE_RATIO - 1],
+        ]
+    )
     bounds = start[:, None] + reach
     simplex = np.clip(first + np.vstack([np.zeros(3), width * np.eye(3)]), *bounds.T)
     how = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-3}
@@ -51,9 +62,9 @@ def bend(change: Array, circle: Array, width: float, angles: Array, aspect: floa
     """Curvature of a change (H, W, 3) [counts] along the radius at angles (n,) of a circle (x, y, r) [px]: magnitude of
     the second derivative, averaged over the colours, at the scale of a Gaussian of `width` [px]; radius and width are
     in pixel widths, and `aspect` is a pixel's height over that."""
-    radii = circle[2] + width * STEPS[:, None]
+    radii = circle[2] + width * BEND_OFFSETS[:, None]
     at = [circle[1] + radii * np.sin(angles) / aspect - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
     seen = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)
-    weight = (STEPS**2 - 1) * np.exp(-(STEPS**2) / 2)
+    weight = (BEND_OFFSETS**2 - 1) * np.exp(-(BEND_OFFSETS**2) / 2)
     curvature = np.einsum("r,rac->ac", weight - weight.mean(), seen)
     return float(np.linalg.norm(curvature, axis=1).mean())

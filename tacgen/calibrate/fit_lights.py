@@ -22,11 +22,13 @@ from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
 Array = np.ndarray
-RIDGES = (300.0, 30.0, 3.0)  # tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
-SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
-CLOSE, LITTLE = 0.02, 2e-3  # change of half a range, and gain of the loss, below which no further table is made
-DIFFERENCE = 0.02  # of half a range: step of the difference quotients
-LIGHTLY = 0.1  # weight of a pixel of the untouched picture where changes are what matters
+# tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
+TOLERANCE_RIDGES = (300.0, 30.0, 3.0)
+SOFT_L1_COUNTS = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
+# change of half a range, and gain of the loss, below which no further table is made
+MIN_TABLE_CHANGE, MIN_TABLE_GAIN = 0.02, 2e-3
+DIFFERENCE_STEP = 0.02  # of half a range: step of the difference quotients
+UNTOUCHED_WEIGHT = 0.1  # weight of a pixel of the untouched picture where changes are what matters
 
 
 def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits: FitLimits) -> Fitted:
@@ -43,11 +45,11 @@ def fit_faces(
 ) -> Fitted:
     """Fit a sensor with a clear gel to presses whose faces are known.
 
-    `changes`: how presses change the picture is fitted and judged alone; the untouched picture counts LIGHTLY.
+    `changes`: how presses change the picture is fitted and judged alone; the untouched picture counts UNTOUCHED_WEIGHT.
     """
-    fits = Fits(sensor, photos, faces, limits, LIGHTLY if changes else 1.0)
+    fits = Fits(sensor, photos, faces, limits, UNTOUCHED_WEIGHT if changes else 1.0)
     if not (groups := folds(len(photos.presses))):
-        return fits.whole(RIDGES[-1])
+        return fits.whole(TOLERANCE_RIDGES[-1])
     counts, made = fits.judged(groups)
     best = int(np.argmin(counts[1:].mean(axis=1)))
     held_out = [k - 1 for group in groups for k in group]
@@ -62,7 +64,7 @@ def fit_faces(
         alike = Comparison(sensor).likeness(presses, seen, photos.untouched), Likeness.over(after)
     each = tuple(one for group, one in zip(groups, judging, strict=True) for _ in group)
     unseen = Unseen(tuple(presses), tuple(seen), each, counts[[0, best + 1]], alike)
-    return replace(fits.whole(RIDGES[best]), unseen=unseen)
+    return replace(fits.whole(TOLERANCE_RIDGES[best]), unseen=unseen)
 
 
 def _at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
@@ -78,7 +80,7 @@ class Fits(Trials):
     def whole(self, ridge: float) -> Fitted:
         """The fit to all pictures, made as those are that judge it."""
         every, begin = list(range(len(self.pictures))), self._start
-        for hold in RIDGES[: RIDGES.index(ridge) + 1]:
+        for hold in TOLERANCE_RIDGES[: TOLERANCE_RIDGES.index(ridge) + 1]:
             begin, lights = self._search(begin, every, hold)
         misfits = self._misfits(begin, lights, every)
         shown = self._misfits(self._start, self.own, [0])
@@ -88,15 +90,15 @@ class Fits(Trials):
         )  # fmt: skip
 
     def judged(self, groups: list[list[int]]) -> tuple[Array, list[list[LitSensor]]]:
-        """Misfit of presses that are not seen [counts], of the file and then of fits with each of RIDGES, (1 + RIDGES,
-        presses); and those fits by ridge, then by group."""
-        counts: list[list[float]] = [[] for _ in range(1 + len(RIDGES))]
-        made: list[list[LitSensor]] = [[] for _ in RIDGES]
+        """Misfit of presses that are not seen [counts], of the file and then of fits with each of TOLERANCE_RIDGES, (1
+        + TOLERANCE_RIDGES, presses); and those fits by ridge, then by group."""
+        counts: list[list[float]] = [[] for _ in range(1 + len(TOLERANCE_RIDGES))]
+        made: list[list[LitSensor]] = [[] for _ in TOLERANCE_RIDGES]
         for held_out in groups:
             seen = [k for k in range(len(self.pictures)) if k not in held_out]
             v = self._start
             counts[0] += [rms([one]) for one in self._misfits(v, self.own, held_out)]
-            for ridge, scores, fits in zip(RIDGES, counts[1:], made, strict=True):
+            for ridge, scores, fits in zip(TOLERANCE_RIDGES, counts[1:], made, strict=True):
                 v, lights = self._search(v, seen, ridge)
                 fits.append(self._sensor(v, lights))
                 scores += [rms([one]) for one in self._misfits(v, lights, held_out)]
@@ -122,13 +124,15 @@ class Fits(Trials):
 
         def cost(v: Array, lights: Array) -> float:
             off = self.weighed(self.rows(v, seen), seen) @ np.append(lights, -1.0)
-            return robust_search.loss(off, SOFT) + robust_search.held((v - self._start)[free] / half, lights, hold)
+            return robust_search.loss(off, SOFT_L1_COUNTS) + robust_search.held(
+                (v - self._start)[free] / half, lights, hold
+            )
 
         now = cost(v, lights.ravel())
         for _ in range(self.limits.steps):
             near = self._tables(v, seen)
-            u, found = robust_search.search(near, lights.ravel(), bounds, hold, SOFT)
-            for share in robust_search.SHARES:  # of the way, if the equations are not as linear as taken
+            u, found = robust_search.search(near, lights.ravel(), bounds, hold, SOFT_L1_COUNTS)
+            for share in robust_search.STEP_FRACTIONS:  # of the way, if the equations are not as linear as taken
                 tried = v.copy()
                 tried[free] += share * half * (u - near.at)
                 some = lights.ravel() + share * (found - lights.ravel())
@@ -137,7 +141,7 @@ class Fits(Trials):
             else:
                 break
             v, lights, gained, now = tried, some.reshape(lights.shape), now - then, then
-            if share * np.abs(u - near.at).max() < CLOSE or gained < LITTLE * now:
+            if share * np.abs(u - near.at).max() < MIN_TABLE_CHANGE or gained < MIN_TABLE_GAIN * now:
                 break
         return v, lights
 
@@ -165,7 +169,7 @@ class Fits(Trials):
         free = self._free(seen)
         here, slopes = self.rows(v, seen), []
         for k, half in zip(free, self._half(free), strict=True):
-            step = DIFFERENCE * half * (-1 if v[k] + DIFFERENCE * half > self._most[k] else 1)
+            step = DIFFERENCE_STEP * half * (-1 if v[k] + DIFFERENCE_STEP * half > self._most[k] else 1)
             moved = v.copy()
             moved[k] += step
             there = self.rows(moved, seen)

@@ -17,23 +17,25 @@ from scipy.special import exprel
 from scipy.stats import t as student
 
 from tacgen.calibrate.plausible import off
-from tacgen.calibrate.press_forces import MARGIN, Curves, Measured
+from tacgen.calibrate.press_forces import FIRST_TOUCH_RANGE, Curves, Measured
 
 Array = np.ndarray
-LEVEL = 0.95  # probability of the confidence intervals
-EVEN = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)  # tried ratios of constant error (over the largest force) to relative error
-USUAL = 0.1  # this ratio if there are too few rows to estimate it
-ROUNDS = 3  # reweighted fits, each with the forces of the one before
-PIECES = 8  # intervals between two rows; in each the elastic force changes at a constant rate
-MOST_RELAXED = 0.95  # largest sum of g over all terms
-SEEN = 1e-5  # smallest change of the forces over a range, in their errors, that is no rounding of differences
-UNSEEN = 0.1  # share of a number in a direction that the forces do not show, from which it is not determined
-MOST_FACTOR = 1e3  # largest factor on the moduli, and its inverse the smallest
+CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals
+# tried ratios of constant error (over the largest force) to relative error
+ERROR_RATIOS = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)
+USUAL_ERROR_RATIO = 0.1  # this ratio if there are too few rows to estimate it
+REWEIGHTED_FITS = 3  # reweighted fits, each with the forces of the one before
+INTERVALS_PER_ROW = 8  # intervals between two rows; in each the elastic force changes at a constant rate
+MAX_RELAXED_SUM = 0.95  # largest sum of g over all terms
+# smallest change of the forces over a range, in their errors, that is no rounding of differences
+MIN_SEEN_CHANGE = 1e-5
+MAX_UNSEEN_SHARE = 0.1  # share of a number in a direction that the forces do not show, from which it is not determined
+MAX_MODULUS_FACTOR = 1e3  # largest factor on the moduli, and its inverse the smallest
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter and its confidence interval of probability LEVEL."""
+    """A parameter and its confidence interval of probability CONFIDENCE_LEVEL."""
 
     name: str
     value: float
@@ -94,8 +96,8 @@ def fit(
 
     Raises ValueError: fewer rows than numbers to find, and one more.
     """
-    margin = MARGIN * float(measured.depth.max())
-    unknowns = [Unknown("modulus", 0.0, -np.log(MOST_FACTOR), np.log(MOST_FACTOR), np.exp)]
+    margin = FIRST_TOUCH_RANGE * float(measured.depth.max())
+    unknowns = [Unknown("modulus", 0.0, -np.log(MAX_MODULUS_FACTOR), np.log(MAX_MODULUS_FACTOR), np.exp)]
     if zero:
         unknowns.append(Unknown("zero", 0.0, -margin, margin))
     if curves.values is not None and value is None:
@@ -106,7 +108,7 @@ def fit(
         steps = np.diff(measured.time, prepend=0.0)
         shortest, longest = float(steps[steps > 0].min()), float(measured.time[-1])
         for i, tau in enumerate(np.geomspace(shortest, longest, terms + 2)[1:-1], 1):
-            unknowns.append(Unknown(f"g{i}", 0.1 / terms, 0.0, MOST_RELAXED / terms))
+            unknowns.append(Unknown(f"g{i}", 0.1 / terms, 0.0, MAX_RELAXED_SUM / terms))
             unknowns.append(Unknown(f"tau{i}", np.log(tau), np.log(shortest / 3), np.log(3 * longest), np.exp))
     if len(measured.depth) <= len(unknowns):
         raise ValueError(f"{len(measured.depth)} rows are too few to find {len(unknowns)} numbers and their bounds")
@@ -120,7 +122,9 @@ def fit(
 
     model = force(np.array([unknown.start for unknown in unknowns]))
     best = float(model @ measured.force) / max(float(model @ model), 1e-300)  # modulus with all others fixed
-    unknowns[0] = replace(unknowns[0], start=float(np.log(np.clip(best, 2 / MOST_FACTOR, MOST_FACTOR / 2))))
+    unknowns[0] = replace(
+        unknowns[0], start=float(np.log(np.clip(best, 2 / MAX_MODULUS_FACTOR, MAX_MODULUS_FACTOR / 2)))
+    )
     estimates, correlation, at = estimated(force, measured.force, unknowns)
     return MaterialFit(estimates, correlation, force(at), measured)
 
@@ -135,13 +139,13 @@ def estimated(
     """
     start, low, high = np.array([[u.start, u.low, u.high] for u in unknowns]).T
     spare = len(wanted) - len(unknowns)
-    choices = EVEN if spare > len(EVEN) else (USUAL,)
+    choices = ERROR_RATIOS if spare > len(ERROR_RATIOS) else (USUAL_ERROR_RATIO,)
     tried = [_weighted(force, wanted, (start, low, high), even, doubt) for even in choices]
     best = min(tried, key=lambda one: one.unlikely)
     free = best.free
     covariance = _averaged(best, tried)[np.ix_(free, free)]
     half, spread = np.zeros(len(unknowns)), np.sqrt(np.diag(covariance))
-    half[free] = student.ppf((1 + LEVEL) / 2, spare - (len(choices) > 1)) * spread
+    half[free] = student.ppf((1 + CONFIDENCE_LEVEL) / 2, spare - (len(choices) > 1)) * spread
     unclear = best.unseen | ((best.at - half <= low) & (best.at + half >= high))
     shown = np.column_stack([low - (high - low), high + (high - low)])  # exp overflows far beyond
     estimates = []
@@ -162,7 +166,7 @@ def relaxing(
     if not series:
         return curves.force(measured.depth + zero, second)
     assert measured.time is not None
-    parts = np.linspace(0, 1, PIECES + 1)[1:]
+    parts = np.linspace(0, 1, INTERVALS_PER_ROW + 1)[1:]
 
     def between(rows: Array, first: float) -> Array:
         before = np.concatenate([[first], rows[:-1]])
@@ -176,14 +180,14 @@ def relaxing(
     for k in range(len(memory)):
         H = memory[k] = decay[k] * H + fresh[k]
     g = np.array([share for share, _ in series])
-    return np.asarray((elastic + memory @ (g / (1 - g.sum())))[PIECES - 1 :: PIECES])
+    return np.asarray((elastic + memory @ (g / (1 - g.sum())))[INTERVALS_PER_ROW - 1 :: INTERVALS_PER_ROW])
 
 
 @dataclass(frozen=True)
 class _Weighted:
-    """A fit for one ratio of EVEN: unknowns (k,), which of them are `free` inside their bounds and which of these are
-    `unseen` in the forces, covariance (k, k), 0 for those at their bounds, and minus the logarithm of the restricted
-    likelihood (Patterson & Thompson 1971)."""
+    """A fit for one ratio of ERROR_RATIOS: unknowns (k,), which of them are `free` inside their bounds and which of
+    these are `unseen` in the forces, covariance (k, k), 0 for those at their bounds, and minus the logarithm of the
+    restricted likelihood (Patterson & Thompson 1971)."""
 
     at: Array
     free: Array
@@ -198,7 +202,7 @@ def _weighted(
 ) -> _Weighted:  # fmt: skip
     """The fit for one ratio of the errors. `ranges`: start, lower and upper bound of each unknown."""
     (start, low, high), at = ranges, wanted
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTED_FITS):
         error = doubt * np.hypot(even * wanted.max(), at)
         solution = least_squares(partial(_residual, force, wanted, error), start, bounds=(low, high), xtol=1e-12)
         start, at = np.clip(solution.x, low + 1e-9, high - 1e-9), force(solution.x)
@@ -206,8 +210,8 @@ def _weighted(
     span, spare = (high - low)[free], len(wanted) - len(start)
     _, size, axes = np.linalg.svd(solution.jac[:, free] * span, full_matrices=False)
     unseen = np.zeros(len(start), bool)
-    unseen[free] = (np.abs(axes[size < SEEN]) > UNSEEN).any(axis=0)
-    size = np.maximum(size, SEEN)
+    unseen[free] = (np.abs(axes[size < MIN_SEEN_CHANGE]) > MAX_UNSEEN_SHARE).any(axis=0)
+    size = np.maximum(size, MIN_SEEN_CHANGE)
     spread = axes.T / size * span[:, None]
     covariance = np.zeros((len(start),) * 2)
     covariance[np.ix_(free, free)] = spread @ spread.T * 2 * solution.cost / spare
@@ -217,7 +221,7 @@ def _weighted(
 
 
 def _averaged(best: _Weighted, tried: list[_Weighted]) -> Array:
-    """Covariance (k, k) about the best fit, averaged over all ratios of EVEN by their likelihoods."""
+    """Covariance (k, k) about the best fit, averaged over all ratios of ERROR_RATIOS by their likelihoods."""
     likely = np.exp([best.unlikely - one.unlikely for one in tried])
     apart = [one.covariance + np.outer(one.at - best.at, one.at - best.at) for one in tried]
     return np.asarray(np.tensordot(likely / likely.sum(), apart, 1))

@@ -31,16 +31,17 @@ from tacgen.sensor.yaml_source import KeyPath
 
 Array = np.ndarray
 Choice = tuple[ThicknessResponse | None, int]  # response to thickness, number of the factor on depths
-CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # of thickness, for the gain [mm]
-FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # tried factors on all depths
-SPREADS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # tried spreads of the gain [mm]
-REACH = 9.0  # distance from a press within which pixels are compared [mm]
-SPP = 64  # paths, as in render.Renderer
-RIDGES = (1.0, 0.1, 0.01, 0.001)  # tried weights of the file's gain, over that of all pixels
+# of thickness, for the gain [mm]
+GAIN_THICKNESS_CHANGES_MM = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)
+DEPTH_FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # tried factors on all depths
+GAIN_SPREADS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # tried spreads of the gain [mm]
+PRESS_REACH_MM = 9.0  # distance from a press within which pixels are compared [mm]
+FIT_SPP = 64  # paths, as in render.Renderer
+GAIN_RIDGES = (1.0, 0.1, 0.01, 0.001)  # tried weights of the file's gain, over that of all pixels
 
 
 class Sums(NamedTuple):
-    """Normal equations of the gain at CHANGES, over pixels."""
+    """Normal equations of the gain at GAIN_THICKNESS_CHANGES_MM, over pixels."""
 
     left: Array  # (changes, changes)
     right: Array  # (changes, 3)
@@ -63,13 +64,15 @@ class RenderedPress:
         return np.asarray(self.wanted / self.own)
 
     def weights(self, spread: float) -> Array:
-        """Weights (k, changes) of the gains at CHANGES where there is gel, spread sideways by `spread` [mm]."""
+        """Weights (k, changes) of the gains at GAIN_THICKNESS_CHANGES_MM where there is gel, spread sideways by
+        `spread` [mm].
+        """
         hats = _hats(np.nan_to_num(self.change).ravel()).reshape(*self.change.shape, -1)
         spread_hats = scattering.spread(hats, spread / self.mm_per_px)
         return np.asarray(spread_hats.reshape(self.change.size, -1)[self._there])
 
     def sums(self, spread: float) -> Sums:
-        """The normal equations of its gains at CHANGES, spread by `spread` [mm]."""
+        """The normal equations of its gains at GAIN_THICKNESS_CHANGES_MM, spread by `spread` [mm]."""
         hats = self.weights(spread)
         return Sums(hats.T @ hats, hats.T @ self.gain[self._there], len(hats))
 
@@ -98,8 +101,8 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
         raise UserError(
             f"{photos.folder / name}: needs depth_mm: through a gel that scatters no edge shows" for name in shallow
         )
-    press_faces.check(sensor, photos, FACTORS[-1])
-    light = images.Renderer(sensor, SPP, 0, False).light
+    press_faces.check(sensor, photos, DEPTH_FACTORS[-1])
+    light = images.Renderer(sensor, FIT_SPP, 0, False).light
     assert isinstance(light, images.Cloudy)
     maps = light.maps
     lights = powers(sensor, maps, photos.untouched)
@@ -113,14 +116,14 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
     renders = Renders(sensor, made, photos, folders)
     every, groups = list(range(len(photos.presses))), folds(len(photos.presses))
     if not groups:
-        off, response, i = renders.best(every, RIDGES[-1])
-        return Fitted(renders.sensor(response), now, before, off, FACTORS[i], ridge=RIDGES[-1])
+        off, response, i = renders.best(every, GAIN_RIDGES[-1])
+        return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], ridge=GAIN_RIDGES[-1])
     held_out = [k - 1 for group in groups for k in group]
     tried: list[list[Choice]] = []
-    for ridge in RIDGES:
+    for ridge in GAIN_RIDGES:
         fits: list[Choice] = [renders.best([k for k in every if k + 1 not in group], ridge)[1:] for group in groups]
         tried.append([fit for group, fit in zip(groups, fits, strict=True) for _ in group])
-    start: list[Choice] = [(sensor.thickness_response, FACTORS.index(1.0))] * len(held_out)
+    start: list[Choice] = [(sensor.thickness_response, DEPTH_FACTORS.index(1.0))] * len(held_out)
     counts = np.array([
         [renders.off(k, *fit) for k, fit in zip(held_out, choices, strict=True)]
         for choices in (start, *tried)
@@ -132,23 +135,27 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
         tuple(renders.faces[k][i] for k, (_, i) in zip(held_out, tried[number], strict=True)),
         tuple(renders.sensor(response) for response, _ in tried[number]), counts[[0, number + 1]], (alike[0], alike[1]),
     )  # fmt: skip
-    off, response, i = renders.best(every, RIDGES[number])
-    return Fitted(renders.sensor(response), now, before, off, FACTORS[i], unseen, RIDGES[number],
-                  renders.determined(i, RIDGES[number]))  # fmt: skip
+    off, response, i = renders.best(every, GAIN_RIDGES[number])
+    return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], unseen, GAIN_RIDGES[number],
+                  renders.determined(i, GAIN_RIDGES[number]))  # fmt: skip
 
 
 class Renders:
-    """All presses rendered at each of FACTORS times their depths."""
+    """All presses rendered at each of DEPTH_FACTORS times their depths."""
 
     def __init__(self, sensor: LitSensor, made: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> None:
         """`made`: the sensor with fitted radiances."""
         self.made, self.camera = made.model_copy(update={"thickness_response": None}), sensor.camera
         self.linear = camera_response.linear(photos.untouched / 255.0, sensor.camera).reshape(-1, 3)
         file = sensor.thickness_response
-        self.file = np.ones((len(CHANGES), 3)) if file is None else scattering.gain(file, np.array(CHANGES))
-        depths = [[factor * (press.depth or 0.0) for factor in FACTORS] for press in photos.presses]
+        self.file = (
+            np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3))
+            if file is None
+            else scattering.gain(file, np.array(GAIN_THICKNESS_CHANGES_MM))
+        )
+        depths = [[factor * (press.depth or 0.0) for factor in DEPTH_FACTORS] for press in photos.presses]
         self.faces = [press_faces.solved(self.made, *one, folders) for one in zip(photos.presses, depths, strict=True)]
-        renderer = images.Renderer(self.made, SPP, 0, False)
+        renderer = images.Renderer(self.made, FIT_SPP, 0, False)
         pairs = zip(photos.presses, self.faces, strict=True)
         self.seen = [_seen(self.made, renderer, photos, *pair) for pair in pairs]  # by press, then by factor
         self.spread = 0.0 if file is None else file.spread_mm
@@ -163,14 +170,14 @@ class Renders:
 
         The factor is chosen at the file's spread, and then the spread.
         """
-        at = min(range(len(FACTORS)), key=lambda i: self._fitted(chosen, ridge, self.spread, i)[0])
-        return min((self._fitted(chosen, ridge, spread, at) for spread in SPREADS), key=lambda one: one[0])
+        at = min(range(len(DEPTH_FACTORS)), key=lambda i: self._fitted(chosen, ridge, self.spread, i)[0])
+        return min((self._fitted(chosen, ridge, spread, at) for spread in GAIN_SPREADS_MM), key=lambda one: one[0])
 
     def _fitted(self, chosen: list[int], ridge: float, spread: float, i: int) -> tuple[float, ThicknessResponse, int]:
         parts = [self._sums(k, i, spread) for k in chosen]
         table = gains(Sums(*(sum(part[1:], part[0]) for part in zip(*parts, strict=True))), self.file, ridge)
         rows = tuple(rgb(row) for row in table)
-        response = ThicknessResponse(change_mm=CHANGES, gain=rows, spread_mm=spread, source="fit")
+        response = ThicknessResponse(change_mm=GAIN_THICKNESS_CHANGES_MM, gain=rows, spread_mm=spread, source="fit")
         return rms([np.array([self.off(k, response, i)]) for k in chosen]), response, i
 
     def _sums(self, press: int, factor: int, spread: float) -> Sums:
@@ -191,9 +198,9 @@ class Renders:
         return ChangeLikeness.of(*(np.concatenate(part) for part in zip(*shown, strict=True)))
 
     def determined(self, factor: int, ridge: float) -> dict[str, float]:
-        """Share of the gain at each of CHANGES that the photographs determine."""
+        """Share of the gain at each of GAIN_THICKNESS_CHANGES_MM that the photographs determine."""
         hat = np.concatenate([press[factor].weights(self.spread) for press in self.seen])
-        names = [f"gain at {change:+g} mm" for change in CHANGES]
+        names = [f"gain at {change:+g} mm" for change in GAIN_THICKNESS_CHANGES_MM]
         return dict(zip(names, map(float, judging.determined(hat, np.sqrt(ridge * len(hat)))), strict=True))
 
 
@@ -205,8 +212,10 @@ def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
 
 
 def gains(sums: Sums, file: Array, ridge: float) -> Array:
-    """Least-squares gain (changes, 3) at CHANGES, slightly smooth, through 1 at no change, held to the file's."""
-    known = np.array(CHANGES)
+    """Least-squares gain (changes, 3) at GAIN_THICKNESS_CHANGES_MM, slightly smooth, through 1 at no change, held to
+    the file's.
+    """
+    known = np.array(GAIN_THICKNESS_CHANGES_MM)
     bend = np.zeros((len(known) - 2, len(known)))
     for k in range(len(known) - 2):
         a, b = known[k + 1] - known[k], known[k + 2] - known[k + 1]
@@ -218,8 +227,10 @@ def gains(sums: Sums, file: Array, ridge: float) -> Array:
 
 
 def _hats(change: Array) -> Array:
-    """Linear interpolation weights (n, changes) of changes of thickness (n,) [mm] at CHANGES."""
-    return np.array([np.interp(change, CHANGES, row) for row in np.eye(len(CHANGES))]).T
+    """Linear interpolation weights (n, changes) of changes of thickness (n,) [mm] at GAIN_THICKNESS_CHANGES_MM."""
+    return np.array(
+        [np.interp(change, GAIN_THICKNESS_CHANGES_MM, row) for row in np.eye(len(GAIN_THICKNESS_CHANGES_MM))]
+    ).T
 
 
 def _seen(
@@ -238,7 +249,9 @@ def _seen(
         change = seen.position[:, 2] - renderer.untouched.at(seen.position[:, :2])[:, 2]
         own = (renderer.image(face).astype(float) / np.maximum(flat, 1e-12)).reshape(-1, 3)
         away = np.hypot(*(camera.project(seen.position) - press.center).T) * camera.mm_per_px
-        return RenderedPress(change.reshape(view.shape), sensor.camera.mm_per_px, own, after / before, away < REACH)
+        return RenderedPress(
+            change.reshape(view.shape), sensor.camera.mm_per_px, own, after / before, away < PRESS_REACH_MM
+        )
 
     return [at(face) for face in faces]
 

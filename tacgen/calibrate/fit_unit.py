@@ -19,8 +19,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import isotonic_regression
 from scipy.stats import t as student
 
-from tacgen.calibrate.ball_dents import POWER, Dents
-from tacgen.calibrate.fit_material import LEVEL, MOST_FACTOR, Estimate, Unknown, estimated
+from tacgen.calibrate.ball_dents import HERTZ_FORCE_POWER, Dents
+from tacgen.calibrate.fit_material import CONFIDENCE_LEVEL, MAX_MODULUS_FACTOR, Estimate, Unknown, estimated
 from tacgen.calibrate.press_colours import Placed, PressPicture, PressView, located, placed, richness
 from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Renderer
@@ -29,15 +29,17 @@ from tacgen.sensor.model import LitSensor
 Array = np.ndarray
 Pictures = Sequence[PressPicture]
 Tried = Sequence[Mapping[float, Dents]]  # for each thickness, in rising order, by the ball's radius [mm]
-FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, over the file's
-FINE = 2000  # points between them at which the misfit is interpolated
-SPREAD = 0.05  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
-ABRUPT = 0.03  # of the largest force: change between readings from which its error by the lag exceeds all others
-OWN = 8  # unseen pictures from which they tell their own colours
-SPP = 16  # samples a pixel of rendered pictures, of gels that scatter light
-SURE = 0.5  # of a correction: standard error that it adds
-LIGHTS = 1.5  # blur over that of rendered sharp rims, up to which it comes from the lights alone
-LATEST = 0.2  # [s]: largest lag of a gauge, either way
+THICKNESS_FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, over the file's
+MISFIT_POINTS = 2000  # points between them at which the misfit is interpolated
+# standard error of the thickness's logarithm that the method has by itself, from synthetic units
+THICKNESS_METHOD_ERROR = 0.05
+# of the largest force: change between readings from which its error by the lag exceeds all others
+ABRUPT_FORCE_CHANGE = 0.03
+MIN_OWN_COLOUR_PICTURES = 8  # unseen pictures from which they tell their own colours
+BIAS_SPP = 16  # samples a pixel of rendered pictures, of gels that scatter light
+CORRECTION_ERROR_SHARE = 0.5  # of a correction: standard error that it adds
+MAX_LIGHT_BLUR_RATIO = 1.5  # blur over that of rendered sharp rims, up to which it comes from the lights alone
+MAX_GAUGE_LAG_S = 0.2  # [s]: largest lag of a gauge, either way
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Gauge:
             here = np.flatnonzero(self.recording == k)
             here = here[np.argsort(self.time[here])]
             change = np.abs(np.gradient(self.force[here]))
-            out[here] = np.hypot(1.0, change / (ABRUPT * np.abs(self.force).max()))
+            out[here] = np.hypot(1.0, change / (ABRUPT_FORCE_CHANGE * np.abs(self.force).max()))
         return out
 
     def part(self, where: Array) -> "Gauge":
@@ -138,13 +140,15 @@ def optics(view: PressView, pictures: Pictures, dents: Tried, *, rich: bool | No
     whole, n = parts.sum(axis=1), parts.shape[1]
     without = np.array([_lowest(thickness, whole - parts[:, k]) for k in range(n)])
     spread = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
-    return Optics(thickness, tuple(found), rich, _lowest(thickness, whole), float(np.hypot(spread, SPREAD)), n - 1)
+    return Optics(
+        thickness, tuple(found), rich, _lowest(thickness, whole), float(np.hypot(spread, THICKNESS_METHOD_ERROR)), n - 1
+    )
 
 
 def _lowest(thickness: Array, misfit: Array) -> float:
     """Logarithm of the thickness with the smallest misfit."""
     logs = np.log(thickness)
-    fine = np.linspace(logs[0], logs[-1], FINE)
+    fine = np.linspace(logs[0], logs[-1], MISFIT_POINTS)
     return float(fine[np.argmin(CubicSpline(logs, misfit)(fine))])
 
 
@@ -200,7 +204,7 @@ class UnitFit:
 
 def fit(optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge) -> UnitFit:
     """All numbers of a unit. Raises ValueError: fewer presses than numbers to find, and one more."""
-    half = float(student.ppf((1 + LEVEL) / 2, optics.freedom)) * optics.spread
+    half = float(student.ppf((1 + CONFIDENCE_LEVEL) / 2, optics.freedom)) * optics.spread
     low, high = np.log(optics.thickness[[0, -1]])
     out = half > 0 and (not low < optics.best < high or (optics.best - half <= low and optics.best + half >= high))
     value, least, most = np.exp(optics.best + half * np.array([0, -1, 1])).tolist()
@@ -213,7 +217,7 @@ def fit(optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge) -> UnitF
         share = half * (moved[1] - moved[0]) / float(ends[1] - ends[0])
     reach = [np.exp(np.log(modulus.value) + side * np.hypot(np.log(end / modulus.value), share))
             for side, end in ((-1, modulus.low), (1, modulus.high))]  # fmt: skip
-    unsure = not 2 / MOST_FACTOR < modulus.value < MOST_FACTOR / 2 or modulus.open
+    unsure = not 2 / MAX_MODULUS_FACTOR < modulus.value < MAX_MODULUS_FACTOR / 2 or modulus.open
     modulus = Estimate("modulus", modulus.value, float(reach[0]), float(reach[1]), modulus.bound, unsure)
     lags = dict(zip(gauge.timed, estimates[2:], strict=True))
     depth = optics.mixed([one.at[:, 0] for one in optics.placed])
@@ -230,10 +234,13 @@ def _forces(
     if len(gauge.force) <= len(names):
         raise ValueError(f"{len(gauge.force)} presses are too few to find {len(names)} numbers and their bounds")
     zero, factor = np.linalg.lstsq(np.column_stack([np.ones_like(unit), unit]), gauge.force, rcond=None)[0]
-    begin, widest = float(np.log(np.clip(factor, 2 / MOST_FACTOR, MOST_FACTOR / 2))), float(np.log(MOST_FACTOR))
+    begin, widest = (
+        float(np.log(np.clip(factor, 2 / MAX_MODULUS_FACTOR, MAX_MODULUS_FACTOR / 2))),
+        float(np.log(MAX_MODULUS_FACTOR)),
+    )
     unknowns = [Unknown("modulus", begin, -widest, widest, np.exp),
                 Unknown("zero", float(np.clip(zero, -most / 2, most / 2)), -most, most),
-                *(Unknown(name, 0.0, -LATEST, LATEST) for name in names[2:])]  # fmt: skip
+                *(Unknown(name, 0.0, -MAX_GAUGE_LAG_S, MAX_GAUGE_LAG_S) for name in names[2:])]  # fmt: skip
 
     def force(v: Array) -> Array:
         return np.asarray(v[1] + np.exp(v[0]) * gauge.late(unit, dict(zip(gauge.timed, v[2:], strict=True))))
@@ -246,9 +253,9 @@ def unit_forces(optics: Optics, seen: Sequence[Placed | None], pictures: Picture
     """Forces (n,) [N] at the file's moduli of presses placed at each thickness (next to `at` at least), at thickness
     exp(at) [mm]."""
     rooted = [np.zeros(len(pictures)) if one is None else np.array([
-        float(each[p.ball].force_at(d)) ** POWER for p, d in zip(pictures, one.at[:, 0], strict=True)])
+        float(each[p.ball].force_at(d)) ** HERTZ_FORCE_POWER for p, d in zip(pictures, one.at[:, 0], strict=True)])
         for one, each in zip(seen, dents, strict=True)]  # fmt: skip
-    return np.asarray(optics.mixed(rooted, at) ** (1 / POWER))
+    return np.asarray(optics.mixed(rooted, at) ** (1 / HERTZ_FORCE_POWER))
 
 
 @dataclass(frozen=True)
@@ -287,7 +294,7 @@ def predict(fitted: UnitFit, view: PressView, pictures: Pictures, dents: Tried) 
         one = optics.placed[k]
         seen[k] = located(view, pictures, dents[k], start, one.blur, optics.rich, one.colours)
     own = seen
-    if len(pictures) >= OWN:
+    if len(pictures) >= MIN_OWN_COLOUR_PICTURES:
         own = [None if one is None else located(view, pictures, each, one.at, one.blur, optics.rich)
                for one, each in zip(seen, dents, strict=True)]  # fmt: skip
     forces = [fitted.modulus.value * unit_forces(optics, one, pictures, dents, optics.best) for one in (own, seen)]
@@ -310,7 +317,7 @@ def judge(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held:
 
 def _late(gauge: Gauge, said: Array) -> Array:
     """Forces as the gauge reads them, with the lag of each timed recording with which they are nearest its readings."""
-    tried, lags = np.linspace(-LATEST, LATEST, 161), {}
+    tried, lags = np.linspace(-MAX_GAUGE_LAG_S, MAX_GAUGE_LAG_S, 161), {}
     for k in gauge.timed:
         off = [np.abs(gauge.late(said, {k: lag}) - gauge.force).sum() for lag in tried]
         lags[k] = float(tried[int(np.argmin(off))])
@@ -329,12 +336,12 @@ def corrected(
     steady = Gauge(gauge.force, gauge.recording, np.full(len(gauge.force), np.nan))
     again = _again(found, sensor, view, pictures, dents, steady, 0.0)
     mine, lights = found.optics.blur, again.optics.blur
-    if mine > LIGHTS * lights:  # the real rims are softer than the solved ones
+    if mine > MAX_LIGHT_BLUR_RATIO * lights:  # the real rims are softer than the solved ones
         again = _again(found, sensor, view, pictures, dents, steady, float(np.sqrt(mine**2 - lights**2)))
     thickness, modulus = (_ratio(one, other.value) for one, other in
                           ((found.thickness, again.thickness), (found.modulus, again.modulus)))  # fmt: skip
     shift = found.zero.value - again.zero.value
-    half = np.hypot((found.zero.high - found.zero.low) / 2, 2 * SURE * shift)
+    half = np.hypot((found.zero.high - found.zero.low) / 2, 2 * CORRECTION_ERROR_SHARE * shift)
     value = found.zero.value + shift
     zero = replace(found.zero, value=value, low=float(value - half), high=float(value + half))
     return replace(found, thickness=thickness if len(dents) > 1 else found.thickness, modulus=modulus, zero=zero)
@@ -344,13 +351,13 @@ def _again(
     found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, blur: float
 ) -> UnitFit:
     """The fit to rendered pictures of the presses as found, with forces as of the file's moduli times the found."""
-    camera, random = Renderer(sensor, SPP, 0, markers=False), np.random.default_rng(0)
+    camera, random = Renderer(sensor, BIAS_SPP, 0, markers=False), np.random.default_rng(0)
     flat, made, forces = camera.develop(camera.flat(), random), [], []
     for n, picture in enumerate(pictures):
         face = found.face(camera.untouched, dents, picture.ball, n, blur)
         made.append(view.picture(camera.develop(camera.image(face), random), flat, picture.ball, picture.recording))
-        rooted = sum(share * float(one.force_at(found.depth[n])) ** POWER for one, share in face.dents)
-        forces.append(rooted ** (1 / POWER))
+        rooted = sum(share * float(one.force_at(found.depth[n])) ** HERTZ_FORCE_POWER for one, share in face.dents)
+        forces.append(rooted ** (1 / HERTZ_FORCE_POWER))
     read = found.zero.value + found.modulus.value * np.array(forces)
     return fit(optics(view, made, dents, rich=found.optics.rich), made, dents, replace(gauge, force=read))
 
@@ -358,6 +365,6 @@ def _again(
 def _ratio(one: Estimate, again: float) -> Estimate:
     """An estimate over the ratio by which the second fit is off, with an interval that is wider by its doubt."""
     shift = float(np.log(one.value / again))
-    half = [np.hypot(np.log(end / one.value), 2 * SURE * shift) for end in (one.low, one.high)]
+    half = [np.hypot(np.log(end / one.value), 2 * CORRECTION_ERROR_SHARE * shift) for end in (one.low, one.high)]
     value = one.value * np.exp(shift)
     return replace(one, value=float(value), low=float(value * np.exp(-half[0])), high=float(value * np.exp(half[1])))

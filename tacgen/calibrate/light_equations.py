@@ -29,23 +29,28 @@ from tacgen.sensor import optics_checks
 from tacgen.sensor.model import Camera, Led, LitSensor
 
 Array = np.ndarray
-SHRINK = 4  # pixels of the photograph per pixel of the fit
-LEAST_WIDTH = 40  # width of the fit's pictures at least [px]
-SHEET = 0.2  # node spacing of the face [mm]
-ALONG, ACROSS = 3.0, 1.5  # largest distance of the points that stand for an LED, along and across it [mm]
-NEAR = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
-REACH = 3.7  # the same for a press of known depth, whose face is solved and right beyond the contact too [mm]
-AROUND = 1.4  # contact radii, at least, within which such a press is compared if its contact is known too
-WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
-STRAY = 0.02  # change of stray light that costs the same [full scale]
-POWER = 0.5  # change of radiance that costs the same, over the LED's strongest channel
-KEPT = 4  # sets of parameters whose light is kept: those about which derivatives are taken, and trials of steps
-EVEN = 1200  # pixels of the untouched picture that are compared, about, beside those of the presses
-BRIGHT = 0.95  # of full scale; brighter pixels are not compared
-STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
-PARTS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
+PHOTO_PX_PER_FIT_PX = 4  # pixels of the photograph per pixel of the fit
+MIN_FIT_WIDTH_PX = 40  # width of the fit's pictures at least [px]
+TRIAL_SHEET_SPACING_MM = 0.2  # node spacing of the face [mm]
+# largest distance of the points that stand for an LED, along and across it [mm]
+MAX_LED_POINT_SPACING_ALONG_MM, MAX_LED_POINT_SPACING_ACROSS_MM = 3.0, 1.5
+CONTACT_SHARE_COMPARED = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
+# the same for a press of known depth, whose face is solved and right beyond the contact too [mm]
+DEPTH_PRESS_REACH_MM = 3.7
+# contact radii, at least, within which such a press is compared if its contact is known too
+MIN_DEPTH_PRESS_REACH = 1.4
+PRESS_PIXEL_WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
+STRAY_LIGHT_PRIOR = 0.02  # change of stray light that costs the same [full scale]
+RADIANCE_PRIOR = 0.5  # change of radiance that costs the same, over the LED's strongest channel
+# sets of parameters whose light is kept: those about which derivatives are taken, and trials of steps
+CACHED_LIGHTS = 4
+UNTOUCHED_PIXELS = 1200  # pixels of the untouched picture that are compared, about, beside those of the presses
+MAX_COMPARED_LIGHT = 0.95  # of full scale; brighter pixels are not compared
+# largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
+MAX_RESPONSE_SLOPE = 1500.0
+LED_PARAMETERS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
 SPECULAR, FACTOR = 0.1, 1.5  # tolerance of the specular weight; factor of an LED's length, roughness and vignette
-CLEAR = 0.02  # smallest distance of LEDs from the housing and the untouched face [mm]
+MIN_LED_CLEARANCE_MM = 0.02  # smallest distance of LEDs from the housing and the untouched face [mm]
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,8 @@ def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
     """The points that stand for a single LED."""
     (wide, tall), least = one[0].size_mm, (6, 2)
     along, across = (max(n, int(np.ceil(size / by)))
-                     for n, size, by in zip(least, (wide, tall), (ALONG, ACROSS), strict=True))  # fmt: skip
+                     for n, size, by in zip(least, (wide, tall), (MAX_LED_POINT_SPACING_ALONG_MM,
+                     MAX_LED_POINT_SPACING_ACROSS_MM), strict=True))  # fmt: skip
     return strip_light.points(one, along, across)
 
 
@@ -96,16 +102,19 @@ class Trials:
     ) -> None:
         """`faces`: those of the presses; `untouched`: weight of a pixel of that picture."""
         self.limits = limits
-        columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
+        columns = max(min(MIN_FIT_WIDTH_PX, sensor.camera.width_px), sensor.camera.width_px // PHOTO_PX_PER_FIT_PX)
         self.sensor = traced_maps.zoomed(sensor, columns)
-        self.sheet, rest = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
+        self.sheet, rest = Sheet.over(sensor.gel, TRIAL_SHEET_SPACING_MM), Untouched.of(sensor.gel)
         self._bounce = Radiosity(self.sensor)
         sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
-        self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
-        self._look = lru_cache(KEPT * (1 + len(faces)))(self._looked)
-        self._around = lru_cache(KEPT * len(sensor.leds))(self._bounced)
-        self._column = lru_cache(KEPT * len(sensor.leds) * (1 + len(faces)))(self._lit)
-        self._sparse = max(1, round(np.sqrt(self.sensor.camera.width_px * self.sensor.camera.height_px / EVEN)))
+        # half the housing's sides, and its depth [mm]
+        self._room = np.array([*sides, bottom_depth(sensor)]) - MIN_LED_CLEARANCE_MM
+        self._look = lru_cache(CACHED_LIGHTS * (1 + len(faces)))(self._looked)
+        self._around = lru_cache(CACHED_LIGHTS * len(sensor.leds))(self._bounced)
+        self._column = lru_cache(CACHED_LIGHTS * len(sensor.leds) * (1 + len(faces)))(self._lit)
+        self._sparse = max(
+            1, round(np.sqrt(self.sensor.camera.width_px * self.sensor.camera.height_px / UNTOUCHED_PIXELS))
+        )
         self._even, self._first_weight = self._grid(), untouched * self._sparse
         near = [self._near(press) for press in photos.presses]
         needed = np.any([self._even, *near], axis=0)
@@ -126,14 +135,16 @@ class Trials:
         self.own = np.column_stack([np.array([led.light for led in leds]).T, self.sensor.camera.ambient])
         strongest = self.own[:, :-1].max(axis=0)
         lit = np.where(strongest > 0, strongest, strongest.max() or 1.0)
-        self._power = np.tile(np.append(POWER * lit, STRAY), (3, 1))
+        self._power = np.tile(np.append(RADIANCE_PRIOR * lit, STRAY_LIGHT_PRIOR), (3, 1))
 
     def _picture(self, name: str, picture: Array, counts: Array, face: Surface) -> Picture:
         eye = self.sensor.camera
         light = camera_response.linear(picture / 255.0, eye)
         light = photograph.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
-        counts = counts & (light < BRIGHT).all(axis=1)
-        return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
+        counts = counts & (light < MAX_COMPARED_LIGHT).all(axis=1)
+        return Picture(
+            name, light, np.minimum(255 * camera_response.slope(light, eye), MAX_RESPONSE_SLOPE), counts, face
+        )
 
     def _grid(self) -> Array:
         """The pixels of the untouched picture that are compared, on an even grid (pixels,) bool; each stands for the
@@ -148,7 +159,11 @@ class Trials:
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
         away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1] * press.aspect)
         contact = press.contact or 0.0
-        reach = max(REACH / eye.mm_per_px * shrink, AROUND * contact) if press.solved else NEAR * contact
+        reach = (
+            max(DEPTH_PRESS_REACH_MM / eye.mm_per_px * shrink, MIN_DEPTH_PRESS_REACH * contact)
+            if press.solved
+            else CONTACT_SHARE_COMPARED * contact
+        )
         return np.asarray((away < reach).ravel())
 
     def _ranges(self) -> tuple[Array, Array, Array]:
@@ -169,7 +184,7 @@ class Trials:
         return least, most, start
 
     def moved(self, led: Led, parts: tuple[float, ...]) -> Led:
-        """An LED changed by PARTS parameters, and moved back if it would leave the housing."""
+        """An LED changed by LED_PARAMETERS parameters, and moved back if it would leave the housing."""
         axes = frame(led.normal, led.up)
         for share in (1.0, 0.75, 0.5, 0.25):
             *by, tilt, turn, longer = share * np.array(parts)
@@ -177,7 +192,7 @@ class Trials:
             size = np.minimum([led.size_mm[0] * np.exp(longer), led.size_mm[1]], 2 * self._room[:2].max())
             reach = np.abs(frame(normal, led.up)[:, :2] * size / 2).sum(axis=1)
             place = np.clip(np.add(led.center_mm, by), [*(reach[:2] - self._room[:2]), reach[2] - self._room[2]],
-                            [*(self._room[:2] - reach[:2]), -reach[2] - CLEAR])  # fmt: skip
+                            [*(self._room[:2] - reach[:2]), -reach[2] - MIN_LED_CLEARANCE_MM])  # fmt: skip
             numbers = {"center_mm": place, "normal": normal / np.linalg.norm(normal), "size_mm": size}
             tried = led.model_copy(update={key: tuple(float(c) for c in value) for key, value in numbers.items()})
             if not optics_checks.wrong_led(self.sensor, tried):  # at a round end or a dome the box is too large
@@ -215,12 +230,14 @@ class Trials:
         """Light in each channel per unit radiance of each LED and of uniform stray light, in red, then green, then
         blue: (3, compared pixels, 3 (LEDs + 1))."""
         leds, coat = len(self.sensor.leds), self.sensor.coating
-        parts = [tuple(p) for p in v[: PARTS * leds].reshape(leds, PARTS)]
-        gloss, rough = v[PARTS * leds : PARTS * leds + 2]
+        parts = [tuple(p) for p in v[: LED_PARAMETERS * leds].reshape(leds, LED_PARAMETERS)]
+        gloss, rough = v[LED_PARAMETERS * leds : LED_PARAMETERS * leds + 2]
         camera, crop = self._camera(v), tuple(v[-2:])
         lights = np.array([self._column(picture, k, parts[k], rough, crop) for k in range(leds)])
         made = [
-            (1 - gloss) * albedo * lights[..., 0] + gloss * coating.METAL * lights[..., 1] + lights[..., 2 + c]
+            (1 - gloss) * albedo * lights[..., 0]
+            + gloss * coating.METAL_REFLECTANCE * lights[..., 1]
+            + lights[..., 2 + c]
             for c, albedo in enumerate(coat.albedo)
         ]
         fall = camera_response.vignette(camera).reshape(-1, 3)[self.pictures[picture].counts]
@@ -252,7 +269,7 @@ class Trials:
     def weighed(self, rows: list[Array], chosen: list[int]) -> Array:
         """Equations of the chosen pictures, one under the other, as the fit weighs them."""
         return np.concatenate(
-            [(WEIGHT if k else self._first_weight) * row for k, row in zip(chosen, rows, strict=True)]
+            [(PRESS_PIXEL_WEIGHT if k else self._first_weight) * row for k, row in zip(chosen, rows, strict=True)]
         )
 
     def lights(self, rows: list[Array], chosen: list[int], ridge: float) -> Array:
@@ -277,9 +294,9 @@ class Trials:
         """The sensor of a trial with its radiances, at the fit's scale."""
         leds = []
         for k, led in enumerate(self.sensor.leds):
-            moved = self.moved(led, tuple(v[PARTS * k : PARTS * (k + 1)]))
+            moved = self.moved(led, tuple(v[LED_PARAMETERS * k : LED_PARAMETERS * (k + 1)]))
             leds.append(moved.model_copy(update={"radiance": rgb(lights[:, k]), "power": 1.0}))
-        gloss, rough = (float(x) for x in v[PARTS * len(leds) :][:2])
+        gloss, rough = (float(x) for x in v[LED_PARAMETERS * len(leds) :][:2])
         eye = self._camera(v).model_copy(update={"ambient": rgb(lights[:, -1])})
         coat = self.sensor.coating.model_copy(update={"specular": gloss, "roughness": rough})
         return self.sensor.model_copy(update={"leds": tuple(leds), "camera": eye, "coating": coat})

@@ -19,12 +19,13 @@ from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
-WITHIN = 0.95  # contact radii within which the slopes are the ball's
-WEAK = 15.0  # changes below this are too noisy for a ratio [counts per slope]
-AROUND = 1.7  # contact radii within which changes are correlated
-DENTS = 192  # rendered dents that a network is trained on
-BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # radii [mm], contact radius over that, at most [mm]
-SPP = 16  # samples a pixel
+SLOPE_CONTACT_SHARE = 0.95  # contact radii within which the slopes are the ball's
+MIN_CONTRAST_CHANGE = 15.0  # changes below this are too noisy for a ratio [counts per slope]
+CORRELATED_CONTACT_RADII = 1.7  # contact radii within which changes are correlated
+TRAINING_DENTS = 192  # rendered dents that a network is trained on
+# radii [mm], contact radius over that, at most [mm]
+TRAINING_BALL_RADII_MM, TRAINING_CONTACT_SHARES, MAX_TRAINING_CONTACT_MM = (1.5, 5.5), (0.3, 0.75), 3.5
+LIKENESS_SPP = 16  # samples a pixel
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,8 @@ class PictureOfPress:
 class Likeness:
     """Rendered compared with photographed presses, per channel (3,); angles in degrees."""
 
-    contrast: Array  # change per slope, rendered over real, median of presses where the real one is not WEAK
+    # change per slope, rendered over real, median of presses where the real one is not MIN_CONTRAST_CHANGE
+    contrast: Array
     direction: Array  # angle between the two, median
     correlation: Array  # of the change around the contact, median
     normals: float  # mean error of normals in photographs, by a network trained on rendered pictures
@@ -117,7 +119,7 @@ class Comparison:
     """Compares the renderer of a sensor with photographs."""
 
     def __init__(self, sensor: LitSensor) -> None:
-        self.sensor, self._renderer = sensor, Renderer(sensor, SPP, 0, markers=False)
+        self.sensor, self._renderer = sensor, Renderer(sensor, LIKENESS_SPP, 0, markers=False)
         self._view = CameraView(sensor, self._renderer.sheet, markers=False)
         self.flat = self._renderer.develop(self._renderer.flat())  # untouched picture (H, W, 3)
         self._level = self._slopes(self._renderer.untouched)
@@ -138,22 +140,29 @@ class Comparison:
 
     def net(self, presses: Sequence[PhotographedPress]) -> NormalNet:
         """A network trained on rendered dents with the camera's noise, at least as deep as presses."""
-        return learned(self.dents(self.deepest(presses), DENTS))
+        return learned(self.dents(self.deepest(presses), TRAINING_DENTS))
 
     def deepest(self, presses: Sequence[PhotographedPress]) -> float:
         """Contact radius over the ball's that dents reach which stand for presses."""
-        return max(SHARE[1], *((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses))
+        return max(
+            TRAINING_CONTACT_SHARES[1],
+            *((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses),
+        )
 
     def likeness(self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""
         pairs = [
-            (self.photographed(press, face, untouched), self.rendered(press, face), near(press, AROUND))
+            (
+                self.photographed(press, face, untouched),
+                self.rendered(press, face),
+                near(press, CORRELATED_CONTACT_RADII),
+            )
             for press, face in zip(presses, faces, strict=True)
         ]
         per = np.array([[one.per_slope() for one in pair[:2]] for pair in pairs])
         size, angle = np.linalg.norm(per, axis=3), np.degrees(np.arctan2(per[..., 1], per[..., 0]))
         turn = np.abs((angle[:, 1] - angle[:, 0] + 180) % 360 - 180)
-        seen = ((size[:, 0] >= WEAK) | (size[:, 0] == size[:, 0].max(axis=0))) & (size[:, 0] > 0)
+        seen = ((size[:, 0] >= MIN_CONTRAST_CHANGE) | (size[:, 0] == size[:, 0].max(axis=0))) & (size[:, 0] > 0)
         correlation = [
             [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
             for real, made, around in pairs
@@ -175,8 +184,11 @@ class Comparison:
         random, camera = np.random.default_rng(seed), PinholeCamera.from_sensor(self.sensor)
         bend, untouched = mean_curvature(self.sensor.gel), self._renderer.untouched
         for _ in range(count):
-            ball = float(np.exp(random.uniform(*np.log(BALLS))))
-            contact = min(ball * random.uniform(SHARE[0], deepest), WIDEST) / camera.mm_per_px
+            ball = float(np.exp(random.uniform(*np.log(TRAINING_BALL_RADII_MM))))
+            contact = (
+                min(ball * random.uniform(TRAINING_CONTACT_SHARES[0], deepest), MAX_TRAINING_CONTACT_MM)
+                / camera.mm_per_px
+            )
             center = tuple(float(random.uniform(0, side)) for side in camera.shape[::-1])
             face = BallDent.seen(camera, ball, (center[0], center[1]), contact, untouched, bend)
             yield self._seen(self.picture(face, random), self.flat, face, (center[0], center[1]), contact)
@@ -185,7 +197,7 @@ class Comparison:
         self, picture: Array, untouched: Array, face: Surface, center: tuple[float, float], contact: float
     ) -> PictureOfPress:
         slopes = self._slopes(face)
-        inside = circle(untouched.shape[:2], center, WITHIN * contact, self.sensor.camera.aspect)
+        inside = circle(untouched.shape[:2], center, SLOPE_CONTACT_SHARE * contact, self.sensor.camera.aspect)
         where = inside & np.isfinite(slopes + self._level).all(axis=2)
         return PictureOfPress(picture.astype(float) - untouched, where, slopes[where], self._level[where])
 

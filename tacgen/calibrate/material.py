@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import fit_material, press_faces, press_forces
-from tacgen.calibrate.fit_material import MOST_FACTOR, MaterialFit
+from tacgen.calibrate.fit_material import MAX_MODULUS_FACTOR, MaterialFit
 from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
@@ -19,18 +19,18 @@ from tacgen.report.sheet import counted
 from tacgen.sensor.layers import IsochoricLayer
 from tacgen.sensor.yaml_source import KeyPath, at, format_path, parse_path
 
-CORRELATED = 0.5  # smallest correlation that is reported
-ROWS = 12  # rows of the table that are printed
-VALUES = 5  # values of the second parameter for which curves are solved
-MEASURE = {
+MIN_REPORTED_CORRELATION = 0.5  # smallest correlation that is reported
+MAX_PRINTED_FORCES = 12  # rows of the table that are printed
+SECOND_PARAMETER_VALUES = 5  # values of the second parameter for which curves are solved
+MATERIAL_MEASURE_HINTS = {
     "modulus": "measure the force at more depths, also at deeper ones",
     "zero": "measure small depths as well as large ones, or give --no-zero",
     "second": "measure what depends on it, such as larger depths, or leave --second out",
     "g": "record faster presses and the force while the depth is held, or ask for fewer terms by --prony",
     "tau": "record the force more often and longer while the depth is held, or ask for fewer terms by --prony",
 }
-LARGEST = 1e6  # of the ends of the second parameter's range
-BY = "by tacgen calibrate material"
+MAX_PARAMETER_VALUE = 1e6  # of the ends of the second parameter's range
+MATERIAL_SOURCE = "by tacgen calibrate material"
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class Material(SensorFit):
             yield f"  {e.told(*self._named(e.name))}"
         names = [self._named(e.name)[0] for e in self.fitted.estimates]
         for (i, first), (j, other) in combinations(enumerate(names), 2):
-            if abs(r := self.fitted.correlation[i, j]) >= CORRELATED:
+            if abs(r := self.fitted.correlation[i, j]) >= MIN_REPORTED_CORRELATION:
                 yield f"  correlation of {first} and {other}: {r:.2f}"
         yield f"forces are off by {worst:.1f} % at most:"
         rows = list(zip(measured.depth, measured.force, self.fitted.force, self.fitted.off, strict=True))
-        for depth, force, model, off in rows[:: -(-len(rows) // ROWS)]:
+        for depth, force, model, off in rows[:: -(-len(rows) // MAX_PRINTED_FORCES)]:
             yield f"  {depth:g} mm: {force:.4g} N, fitted {model:.4g} N, {100 * off:+.1f} %"
         for name, fit in self.simpler.items():
             yield f"{name} alone: off by {100 * fit.worst:.1f} % at most, modulus {fit['modulus']:.4g} times the file's"
@@ -123,7 +123,7 @@ def _changes(row: Row, second: str, fitted: MaterialFit) -> dict[KeyPath, Any]:
         reach = f"{factor.low:.3g} to {factor.high:.3g} with 95 %"
         out[*here, "source"] = (
             f"{layer.source}; moduli times {factor.value:.4g} ({reach}), fitted to measured forces of a"
-            f" {row.recipe.indenter.shape} ({fitted.measured.name}) {BY}"
+            f" {row.recipe.indenter.shape} ({fitted.measured.name}) {MATERIAL_SOURCE}"
         )
     return out
 
@@ -145,7 +145,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
     deepest, start = float(measured.depth.max()), rows[0].recipe.start
     if said := press_faces.depth_problem(
-        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.MARGIN
+        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.FIRST_TOUCH_RANGE
     ):
         raise UserError(f"{table}: depth_mm: the largest {said}")
     depths = press_forces.depths_for(deepest)
@@ -175,14 +175,14 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
 
 def _undetermined(fitted: MaterialFit, second: str) -> Iterator[str]:
     """A message on the numbers that the forces do not determine, and what to measure."""
-    if not 2 / MOST_FACTOR < fitted["modulus"] < MOST_FACTOR / 2:
+    if not 2 / MAX_MODULUS_FACTOR < fitted["modulus"] < MAX_MODULUS_FACTOR / 2:
         yield f"forces are as of a modulus {fitted['modulus']:.3g} times the file's: are they in N, and depths in mm?"
         return
     for e in fitted.estimates:
         if e.open:
             kind = e.name.rstrip("0123456789")
             shown = second if e.name == "second" else e.name
-            yield f"{shown}: is not determined: these forces allow its whole range: {MEASURE[kind]}"
+            yield f"{shown}: is not determined: these forces allow its whole range: {MATERIAL_MEASURE_HINTS[kind]}"
 
 
 def _range(text: str, row: Row) -> tuple[str, list[float], float]:
@@ -192,7 +192,7 @@ def _range(text: str, row: Row) -> tuple[str, list[float], float]:
     try:
         path = parse_path(name.strip())
         first, last = float(low), float(high)
-        if not (equals and colon and -LARGEST < first < last < LARGEST):  # nor nan
+        if not (equals and colon and -MAX_PARAMETER_VALUE < first < last < MAX_PARAMETER_VALUE):  # nor nan
             raise ValueError
     except ValueError:
         raise UserError(
@@ -204,4 +204,8 @@ def _range(text: str, row: Row) -> tuple[str, list[float], float]:
         raise UserError(f"--second {text}: {name} is no number of the recipe or the sensor file")
     if not first <= now <= last:
         raise UserError(f"--second {text}: {name} is {now:g}, which the range must hold")
-    return name.strip(), [first + (last - first) * k / (VALUES - 1) for k in range(VALUES)], float(now)
+    return (
+        name.strip(),
+        [first + (last - first) * k / (SECOND_PARAMETER_VALUES - 1) for k in range(SECOND_PARAMETER_VALUES)],
+        float(now),
+    )

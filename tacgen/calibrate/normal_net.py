@@ -18,14 +18,14 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize
 
 Array = np.ndarray
-HIDDEN = (64, 64, 64)  # units of the hidden layers
-SMOOTH = 2.0  # standard deviation of the Gaussian by which a change is smoothed [px]
-COUNTS = 40.0  # change of colour that is scaled to 1 at the input [counts]
-DECAY = 0.01  # factor of the squared weights in the loss, times the number of presses
-NOISE = 3.0  # standard deviation of the noise on smoothed colours in training [counts]
-STEPS = 300  # iterations of L-BFGS at most
-MEMBERS = 4  # networks whose outputs are averaged
-MOST = 2000  # training samples of each, about
+HIDDEN_UNITS = (64, 64, 64)  # units of the hidden layers
+CHANGE_BLUR_PX = 2.0  # standard deviation of the Gaussian by which a change is smoothed [px]
+COUNTS_PER_INPUT_UNIT = 40.0  # change of colour that is scaled to 1 at the input [counts]
+WEIGHT_DECAY = 0.01  # factor of the squared weights in the loss, times the number of presses
+TRAINING_NOISE_COUNTS = 3.0  # standard deviation of the noise on smoothed colours in training [counts]
+MAX_LBFGS_STEPS = 300  # iterations of L-BFGS at most
+ENSEMBLE_SIZE = 4  # networks whose outputs are averaged
+TRAINING_SAMPLES = 2000  # training samples of each, about
 
 Layers = tuple[tuple[Array, Array], ...]
 
@@ -39,7 +39,7 @@ class NormalNet:
     @classmethod
     def trained(cls, presses: Sequence[tuple[Array, Array]]) -> "NormalNet":
         """Train on presses: features (n, 5) of each, see `features`, and x and y of unit normals (n, 2)."""
-        return cls(tuple(_member(presses, np.random.default_rng(seed)) for seed in range(MEMBERS)))
+        return cls(tuple(_member(presses, np.random.default_rng(seed)) for seed in range(ENSEMBLE_SIZE)))
 
     def normals(self, features: Array) -> Array:
         """x and y of the unit normals (n, 2) of samples (n, 5)."""
@@ -55,13 +55,13 @@ def _output(layers: Layers, values: Array) -> Array:
 
 def _member(presses: Sequence[tuple[Array, Array]], random: np.random.Generator) -> Layers:
     """One network, trained on the same number of pixels of each press."""
-    each, decay = -(-MOST // len(presses)), DECAY / len(presses)
+    each, decay = -(-TRAINING_SAMPLES // len(presses)), WEIGHT_DECAY / len(presses)
     chosen = [
         [part[some] for part in press] for press in presses for some in [random.permutation(len(press[0]))[:each]]
     ]
     x, wanted = (np.concatenate(part).astype(np.float32) for part in zip(*chosen, strict=True))
-    x[:, :3] += random.normal(0, NOISE / COUNTS, (len(x), 3))
-    sizes = (x.shape[1], *HIDDEN, 2)
+    x[:, :3] += random.normal(0, TRAINING_NOISE_COUNTS / COUNTS_PER_INPUT_UNIT, (len(x), 3))
+    sizes = (x.shape[1], *HIDDEN_UNITS, 2)
     start = [random.standard_normal((a + 1, b)) / np.sqrt(a) for a, b in pairwise(sizes)]
     cuts = np.cumsum([w.size for w in start])[:-1]
 
@@ -81,7 +81,7 @@ def _member(presses: Sequence[tuple[Array, Array]], random: np.random.Generator)
         return squares / len(off) + decay * flat @ flat, np.concatenate(slope[::-1]) + 2 * decay * flat
 
     flat = np.concatenate([w.ravel() for w in start])
-    best = weights(minimize(loss, flat, jac=True, method="L-BFGS-B", options={"maxiter": STEPS}).x)
+    best = weights(minimize(loss, flat, jac=True, method="L-BFGS-B", options={"maxiter": MAX_LBFGS_STEPS}).x)
     return tuple((w[:-1], w[-1]) for w in best)
 
 
@@ -89,8 +89,8 @@ def features(change: Array, where: Array) -> Array:
     """Inputs (n, 5) for the pixels `where` (H, W) bool: the change of colour (H, W, 3) [counts], smoothed, and the
     position from -1 to 1 along the picture's width."""
     (h, w), (y, x) = where.shape, np.nonzero(where)
-    change = gaussian_filter(change, (SMOOTH, SMOOTH, 0))
-    return np.column_stack([change[where] / COUNTS, 2 * (x + 0.5) / w - 1, (2 * y + 1 - h) / w])
+    change = gaussian_filter(change, (CHANGE_BLUR_PX, CHANGE_BLUR_PX, 0))
+    return np.column_stack([change[where] / COUNTS_PER_INPUT_UNIT, 2 * (x + 0.5) / w - 1, (2 * y + 1 - h) / w])
 
 
 def degrees_apart(a: Array, b: Array) -> Array:

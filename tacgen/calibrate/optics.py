@@ -17,9 +17,9 @@ from tacgen.recipe import assets, loading
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
-BY = "by tacgen calibrate optics"
-DETERMINED = 0.5  # share from which a parameter counts as determined by the photographs
-MOST_MM, MOST_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is of another sensor
+OPTICS_SOURCE = "by tacgen calibrate optics"
+MIN_DETERMINED_SHARE = 0.5  # share from which a parameter counts as determined by the photographs
+MAX_TOLERANCE_MM, MAX_TOLERANCE_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is of another sensor
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Calibrated(SensorFit):
             times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
             moved = sum((a - b) ** 2 for a, b in zip(led.center_mm, now.center_mm, strict=True)) ** 0.5
             yield f"  {led.name}: {times}, moved {moved:.2f} mm, radiance {digits(now.radiance)}"
-        sure = [name for name, share in fitted.determined.items() if share >= DETERMINED]
+        sure = [name for name, share in fitted.determined.items() if share >= MIN_DETERMINED_SHARE]
         held = [name for name in fitted.determined if name not in sure]
         yield f"determined by the photographs: {', '.join(sure) or 'nothing'}"
         yield f"held at the file's values: {', '.join(held) or 'nothing'}"
@@ -90,12 +90,12 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
         UserError: photographs that are missing or cannot be used, a line each.
     """
     asked, path = asked or FitLimits(), assets.sensor_path(name)
-    for unit, value, most in (("mm", asked.mm, MOST_MM), ("deg", asked.deg, MOST_DEG)):
+    for unit, value, most in (("mm", asked.mm, MAX_TOLERANCE_MM), ("deg", asked.deg, MAX_TOLERANCE_DEG)):
         if not 0 <= value <= most:  # nor nan
             raise UserError(f"--tolerance-{unit}: must be from 0 to {most:g} (got {value:g})")
     sensor, tree = lit_sensor(path)
     photos = reading.read(folder, sensor.camera)
-    folders = {("sensor", *loading.SOLID): loading.solid_folder(tree)} if sensor.gel.solid else {}
+    folders = {("sensor", *loading.SOLID_FILE_KEY): loading.solid_folder(tree)} if sensor.gel.solid else {}
     if any(layer.scattering for layer in sensor.gel.clear_layers):
         fitted = fit_scattering.fit(sensor, photos, folders)
     else:
@@ -112,7 +112,7 @@ def _said(photos: reading.Photos) -> str:
 
 def changes_of(sensor: LitSensor, fitted: Fitted, said: str, *, bare: bool) -> dict[KeyPath, Any]:
     """Changed values of the sensor file by path; None for keys to remove."""
-    now, by = fitted.sensor, f"fitted to {said} {BY}"
+    now, by = fitted.sensor, f"fitted to {said} {OPTICS_SOURCE}"
     by += f"; on unseen presses {fitted.unseen}" if fitted.unseen else "; not judged by unseen presses"
     out: dict[KeyPath, Any] = {}
     for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):
@@ -130,7 +130,9 @@ def changes_of(sensor: LitSensor, fitted: Fitted, said: str, *, bare: bool) -> d
         if new_keys:
             names = ", ".join(key.removesuffix("_mm") for key in new_keys)
             own = (
-                before.source.split(f"; {new_keys[0].removesuffix('_mm')}")[0] if BY in before.source else before.source
+                before.source.split(f"; {new_keys[0].removesuffix('_mm')}")[0]
+                if OPTICS_SOURCE in before.source
+                else before.source
             )
             out[part, "source"] = f"{own}; {names} {by}"
     if now.thickness_response is not None and now.thickness_response != sensor.thickness_response:

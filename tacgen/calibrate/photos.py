@@ -15,19 +15,19 @@ from tacgen.render import photograph
 from tacgen.sensor.model import Camera
 
 Array = np.ndarray
-UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")
-TABLE = "presses.csv"
-NEEDED = ("file", "ball_radius_mm", "x_px", "y_px")
-EITHER = ("contact_radius_px", "depth_mm", "force_n")
-SATURATED, DARK = 254, 5  # 8-bit counts
-MOST_SATURATED = 0.01  # largest share of saturated pixels
-UNCHANGED = 0.5  # counts: standard deviation of the change over a picture, below which it shows no press
-RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "depth_mm": (1e-3, np.inf),
+UNTOUCHED_FILES = ("background.png", "background.jpg", "background.jpeg", "background.bmp")
+PRESS_TABLE_FILE = "presses.csv"
+NEEDED_PRESS_COLUMNS = ("file", "ball_radius_mm", "x_px", "y_px")
+PRESS_SIZE_COLUMNS = ("contact_radius_px", "depth_mm", "force_n")
+SATURATED_COUNT, MIN_MEAN_COUNT = 254, 5  # 8-bit counts
+MAX_SATURATED_SHARE = 0.01  # largest share of saturated pixels
+MIN_CHANGE_STD = 0.5  # counts: standard deviation of the change over a picture, below which it shows no press
+PRESS_COLUMN_RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "depth_mm": (1e-3, np.inf),
           "force_n": (1e-3, 1e6)}  # fmt: skip
 GAUGED = ("file", "ball_radius_mm", "force_n")
-LARGEST = 1e6  # [N], [s]: readings and times
+MAX_UNIT_NUMBER = 1e6  # [N], [s]: readings and times
 LEAST_GAUGED = 4  # presses that show something
-MOST_BALLS = 5  # sizes: each takes minutes to solve
+MAX_BALL_SIZES = 5  # sizes: each takes minutes to solve
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ def read(folder: Path, camera: Camera) -> Photos:
         wrong.append(f"{folder}: holds no background.png, the photograph of the untouched sensor")
     untouched = np.zeros(0) if picture is None else read_picture(picture, camera, wrong)
     presses = []
-    table = folder / TABLE
-    for line, row in csv_table.rows(table, NEEDED, EITHER, wrong) if table.is_file() else ():
+    table = folder / PRESS_TABLE_FILE
+    for line, row in csv_table.rows(table, NEEDED_PRESS_COLUMNS, PRESS_SIZE_COLUMNS, wrong) if table.is_file() else ():
         press = _press(folder, line, row, camera, wrong)
         presses += [press] if press else []
     for press in presses if not wrong else ():
@@ -107,7 +107,7 @@ def _untouched(folder: Path) -> Path | None:
     """The photograph of the untouched sensor, if there is one. Raises UserError: there is no such folder."""
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder")
-    return next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
+    return next((folder / name for name in UNTOUCHED_FILES if (folder / name).is_file()), None)
 
 
 def read_picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
@@ -124,39 +124,39 @@ def read_picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
             " crop and resize it as they are"
         )
         return picture
-    if (share := np.mean((picture >= SATURATED).any(axis=2))) > MOST_SATURATED:
+    if (share := np.mean((picture >= SATURATED_COUNT).any(axis=2))) > MAX_SATURATED_SHARE:
         wrong.append(f"{path}: {100 * share:.0f} % of its pixels are saturated: expose it less, and all others alike")
-    if picture.mean() < DARK:
+    if picture.mean() < MIN_MEAN_COUNT:
         wrong.append(f"{path}: is dark, {picture.mean():.1f} of 255 in the mean: are the LEDs on?")
     return picture
 
 
 def _shows(picture: Array, untouched: Array) -> bool:
     """Whether a picture (H, W, 3) shows a press."""
-    return bool((picture.astype(float) - untouched).std(axis=(0, 1)).max() >= UNCHANGED)
+    return bool((picture.astype(float) - untouched).std(axis=(0, 1)).max() >= MIN_CHANGE_STD)
 
 
 def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> PhotographedPress | None:
     """Read a row of the table; problems are added to `wrong`."""
-    said = f"{folder / TABLE}:{line}"
+    said = f"{folder / PRESS_TABLE_FILE}:{line}"
     name = row["file"]
     if not name:
         wrong.append(f"{said}: file: is missing")
         return None
     before = len(wrong)
     number: dict[str, float] = {}
-    for column in (*NEEDED[1:], *EITHER):
+    for column in (*NEEDED_PRESS_COLUMNS[1:], *PRESS_SIZE_COLUMNS):
         text = row.get(column, "")
-        if not text and column in EITHER:
+        if not text and column in PRESS_SIZE_COLUMNS:
             continue
         number[column] = csv_table.number(text)
-        low, high = RANGES.get(column, (-np.inf, np.inf))
+        low, high = PRESS_COLUMN_RANGES.get(column, (-np.inf, np.inf))
         if not low <= number[column] <= high:
             reach = f" of at least {low:g}" if low > -np.inf else ""
             reach += f" and at most {high:g}" if high < np.inf else ""
             wrong.append(f"{said}: {column}: must be a number{reach} (got {text!r})")
-    if not any(column in number for column in EITHER):
-        wrong.append(f"{said}: must hold {', '.join(EITHER[:-1])} or {EITHER[-1]}")
+    if not any(column in number for column in PRESS_SIZE_COLUMNS):
+        wrong.append(f"{said}: must hold {', '.join(PRESS_SIZE_COLUMNS[:-1])} or {PRESS_SIZE_COLUMNS[-1]}")
     picture = read_picture(folder / name, camera, wrong)
     if len(wrong) > before:
         return None
@@ -178,17 +178,19 @@ def read_gauged(folder: Path, camera: Camera) -> GaugedPhotos:
     """The presses of a folder. Raises UserError: all that are missing or cannot be used, a line each."""
     usual, wrong = _untouched(folder), list[str]()
     pictures, presses = dict[str, Array](), list[GaugedPress]()
-    for line, row in csv_table.rows(folder / TABLE, GAUGED, (), wrong):
-        said, before = f"{folder / TABLE}:{line}", len(wrong)
+    for line, row in csv_table.rows(folder / PRESS_TABLE_FILE, GAUGED, (), wrong):
+        said, before = f"{folder / PRESS_TABLE_FILE}:{line}", len(wrong)
         force, time = _number(row, "force_n", said, wrong), np.nan
         if row.get("time_s"):
             time = _number(row, "time_s", said, wrong)
-        ball, (low, high) = csv_table.number(row["ball_radius_mm"]), RANGES["ball_radius_mm"]
+        ball, (low, high) = csv_table.number(row["ball_radius_mm"]), PRESS_COLUMN_RANGES["ball_radius_mm"]
         if not low <= ball <= high:
             wrong.append(f"{said}: ball_radius_mm: must be from {low:g} to {high:g} (got {row['ball_radius_mm']!r})")
         plain = row.get("untouched") or (usual.name if usual else "")
         if not plain:
-            wrong.append(f"{said}: has no untouched picture: {folder / UNTOUCHED[0]}, or one named in `untouched`")
+            wrong.append(
+                f"{said}: has no untouched picture: {folder / UNTOUCHED_FILES[0]}, or one named in `untouched`"
+            )
         for name in (row["file"], plain):
             if name and name not in pictures and len(wrong) == before:
                 pictures[name] = read_picture(folder / name, camera, wrong)
@@ -207,14 +209,14 @@ def read_gauged(folder: Path, camera: Camera) -> GaugedPhotos:
 
 def _number(row: dict[str, str], column: str, said: str, wrong: list[str]) -> float:
     value = csv_table.number(row[column])
-    if not abs(value) < LARGEST:
-        wrong.append(f"{said}: {column}: must be a number below {LARGEST:g} (got {row[column]!r})")
+    if not abs(value) < MAX_UNIT_NUMBER:
+        wrong.append(f"{said}: {column}: must be a number below {MAX_UNIT_NUMBER:g} (got {row[column]!r})")
     return value
 
 
 def _problems(folder: Path, presses: list[GaugedPress]) -> list[str]:
     """Problems of all presses together, a line each."""
-    table, wrong = folder / TABLE, []
+    table, wrong = folder / PRESS_TABLE_FILE, []
     shown = sum(_shows(press.picture, press.untouched) for press in presses)
     if shown < LEAST_GAUGED:
         wrong.append(f"{table}: {shown} of its pictures show a press, and a fit takes {LEAST_GAUGED} at least")
@@ -223,8 +225,8 @@ def _problems(folder: Path, presses: list[GaugedPress]) -> list[str]:
         wrong.append(f"{table}: force_n: holds no press: forces count positive into the gel")
     if presses and max(forces) == min(forces):
         wrong.append(f"{table}: force_n: all forces are alike: press lightly and hard")
-    if (count := len({press.ball for press in presses})) > MOST_BALLS:
-        wrong.append(f"{table}: ball_radius_mm: has {count} sizes, and {MOST_BALLS} are the most")
+    if (count := len({press.ball for press in presses})) > MAX_BALL_SIZES:
+        wrong.append(f"{table}: ball_radius_mm: has {count} sizes, and {MAX_BALL_SIZES} are the most")
     seen: set[tuple[str, float]] = set()
     for press in presses:
         if (press.recording, press.time) in seen:

@@ -14,15 +14,17 @@ from tacgen.base.errors import UserError
 from tacgen.recipe import assets, loading, sensor_checks
 from tacgen.sensor import usual_values, yaml_source
 from tacgen.sensor.layers import Layer
-from tacgen.sensor.model import LIGHTS, LitSensor, Sensor
+from tacgen.sensor.model import LIGHT_FIELDS, LitSensor, Sensor
 from tacgen.sensor.validation_messages import Issue, report
 from tacgen.sensor.yaml_source import KeyPath, Source, Tree, format_path
 
 Array = np.ndarray
-FLOOR = 0.05  # of the largest force: errors of smaller forces are relative to this
-FAR = 0.3  # rms error of the fitted forces over the rms force, from which they do not follow the measured ones
-CLEAR = 0.5  # of the change that a drift leaves: the most that dents may leave to count as seen
-FARTHEST = 3.0  # relative error of one force, after that which the method expects of it, from which it is no scatter
+FORCE_ERROR_FLOOR = 0.05  # of the largest force: errors of smaller forces are relative to this
+# rms error of the fitted forces over the rms force, from which they do not follow the measured ones
+MAX_RMS_FORCE_ERROR = 0.3
+MAX_DENT_RESIDUAL_RATIO = 0.5  # of the change that a drift leaves: the most that dents may leave to count as seen
+# relative error of one force, after that which the method expects of it, from which it is no scatter
+MAX_SINGLE_FORCE_ERROR = 3.0
 
 
 @dataclass(frozen=True)
@@ -84,13 +86,13 @@ class SensorFit(ABC):
 
 
 def off(fitted: Array, measured: Array) -> Array:
-    """Relative errors of fitted forces (n,); forces below FLOOR of the largest are compared with that."""
-    return np.asarray((fitted - measured) / np.maximum(np.abs(measured), FLOOR * np.abs(measured).max()))
+    """Relative errors of fitted forces (n,); forces below FORCE_ERROR_FLOOR of the largest are compared with that."""
+    return np.asarray((fitted - measured) / np.maximum(np.abs(measured), FORCE_ERROR_FLOOR * np.abs(measured).max()))
 
 
 def no_dents(dents: float, drift: float) -> str:
     """Why pictures show no presses, from the shares of their change explained by dents and by a drift; or ""."""
-    if 1 - dents < CLEAR * (1 - drift):
+    if 1 - dents < MAX_DENT_RESIDUAL_RATIO * (1 - drift):
         return ""
     return (f"dents explain {100 * dents:.0f} % of the pictures' change, and light that drifts {100 * drift:.0f} %: see"
             " that the contacts' rims show, and press lightly and hard in turn, at several places")  # fmt: skip
@@ -111,7 +113,7 @@ def _of_evidence(known: Evidence) -> Iterator[str]:
         fitted, measured, doubt = known.force
         each = np.abs(off(fitted, measured)) / doubt
         worst, whole = int(each.argmax()), float(np.linalg.norm(fitted - measured) / np.linalg.norm(measured))
-        if whole > FAR or each[worst] > FARTHEST:
+        if whole > MAX_RMS_FORCE_ERROR or each[worst] > MAX_SINGLE_FORCE_ERROR:
             yield (f"the fitted forces do not follow the measured ones: off by {100 * whole:.0f} % rms, and"
                    f" {fitted[worst]:.3g} N where {measured[worst]:.3g} N was measured")  # fmt: skip
     if known.pictures is not None and (said := no_dents(*known.pictures)):
@@ -124,7 +126,7 @@ def lit_sensor(path: Path) -> tuple[LitSensor, Tree]:
     """The sensor of a file, and its text. Raises UserError: lights are missing."""
     sensor, tree = loading.read_sensor(path)
     if not sensor.lit:
-        missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
+        missing = next(part for part in LIGHT_FIELDS if getattr(sensor, part) is None)
         problem = Issue((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
         raise report([(problem, tree)])
     return cast(LitSensor, sensor), tree
@@ -150,5 +152,5 @@ def write_sensor(path: Path, sensor: Sensor, changes: Mapping[KeyPath, Any], out
     changes = dict(changes)
     if sensor.gel.solid is not None:
         solid = assets.mesh_path(sensor.gel.solid.file, path.parent)
-        changes[loading.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
+        changes[loading.SOLID_FILE_KEY] = os.path.relpath(solid.resolve(), out.parent.resolve())
     output_file.put(out, (head + yaml_source.edited(path, changes)).encode(), overwrite=True)

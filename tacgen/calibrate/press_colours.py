@@ -22,23 +22,24 @@ from tacgen.optics.surface_grid import Untouched
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
-ROUNDS, FEW = 20, 5  # of colours and positions in turn at most, at first and from values that nearly fit
-SETTLED = 2e-3  # [mm]: largest change of a depth in the last round
-COMPARED = 1500  # pixels of a smoothed picture that are compared, about
-SMOOTH = 0.5  # standard deviation of this smoothing, over the distance of these pixels
-RIM = 0.06  # of the picture's sides: left out along them, where lights and walls show
-STEP = 0.02  # [mm]: of differences by depth and centre
-LEAST = 1e-3  # [mm]: smallest depth
-RIDGE = 1e-5  # of the equations for the colours, over their diagonal
-PLACE, HELD = 4, 0.03  # columns that vary with the place, and their ridge over the squared slopes
-MOST = 0.5  # [mm]: largest change of a centre in a round
-LOUD = 0.3  # of the largest change: pixels that count as the dent for the start values
-FAINT = 0.3  # of the loudest picture's change: fainter dents start where the loudest of their recording lies
-LEAST_RECORDINGS = 6  # from which colours may vary over the picture
+# of colours and positions in turn at most, at first and from values that nearly fit
+MAX_COLOUR_ROUNDS, MAX_REFINING_ROUNDS = 20, 5
+SETTLED_DEPTH_MM = 2e-3  # [mm]: largest change of a depth in the last round
+COMPARED_PIXELS = 1500  # pixels of a smoothed picture that are compared, about
+PICTURE_BLUR = 0.5  # standard deviation of this smoothing, over the distance of these pixels
+OMITTED_RIM_SHARE = 0.06  # of the picture's sides: left out along them, where lights and walls show
+DEPTH_DIFFERENCE_MM = 0.02  # [mm]: of differences by depth and centre
+MIN_PRESS_DEPTH_MM = 1e-3  # [mm]: smallest depth
+COLOUR_RIDGE = 1e-5  # of the equations for the colours, over their diagonal
+PLACE_COLUMNS, PLACE_RIDGE = 4, 0.03  # columns that vary with the place, and their ridge over the squared slopes
+MAX_CENTRE_STEP_MM = 0.5  # [mm]: largest change of a centre in a round
+DENT_CHANGE_SHARE = 0.3  # of the largest change: pixels that count as the dent for the start values
+FAINT_DENT_SHARE = 0.3  # of the loudest picture's change: fainter dents start where the loudest of their recording lies
+MIN_RECORDINGS_FOR_PLACE = 6  # from which colours may vary over the picture
 USUAL_BLUR = 0.1  # over the gel's thickness: where the two kinds of colours are compared
-SECTORS = 6  # angles around the centre over which the misfit is kept apart
+MISFIT_SECTORS = 6  # angles around the centre over which the misfit is kept apart
 LEAST_DRIFT = 4  # pictures of a sequence from which a drift can be told
-BLUR, BLUR_STEP = 0.4, 0.04  # largest blur of the slopes over the gel's thickness, and its tolerance
+MAX_SLOPE_BLUR, SLOPE_BLUR_TOL = 0.4, 0.04  # largest blur of the slopes over the gel's thickness, and its tolerance
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Placed:
     at: Array  # (n, 3): depth, x, y [mm]
     colours: Array  # (columns, 3) [counts]
     blur: float  # standard deviation by which the rim is softer than the solved one [mm]
-    misfit: Array  # (n, SECTORS) [counts^2]: sum of squares by angle around the centre
+    misfit: Array  # (n, MISFIT_SECTORS) [counts^2]: sum of squares by angle around the centre
     change: float  # [counts^2]: sum of squares of the pictures' changes
 
 
@@ -73,7 +74,10 @@ class PressView:
     def __init__(self, sensor: LitSensor) -> None:
         camera = PinholeCamera.from_sensor(sensor)
         height, width = camera.shape
-        rim, self._stride = int(RIM * min(height, width)), max(1, round(np.sqrt(height * width / COMPARED)))
+        rim, self._stride = (
+            int(OMITTED_RIM_SHARE * min(height, width)),
+            max(1, round(np.sqrt(height * width / COMPARED_PIXELS))),
+        )
         self._pixels = tuple(np.arange(rim + self._stride // 2, side - rim, self._stride) for side in (height, width))
         y, x = (part.ravel() for part in np.meshgrid(*self._pixels, indexing="ij"))
         self._origin, self._ray = camera.rays(np.column_stack([x, y]) + 0.5)
@@ -88,7 +92,7 @@ class PressView:
 
     def picture(self, picture: Array, untouched: Array, ball: float, recording: int) -> PressPicture:
         """A photograph (H, W, 3) against the untouched one, at the compared pixels."""
-        width, some = SMOOTH * self._stride, np.ix_(*self._pixels)
+        width, some = PICTURE_BLUR * self._stride, np.ix_(*self._pixels)
         change, before = (gaussian_filter(one, (width, width, 0))[some].reshape(-1, 3)
                           for one in (picture.astype(float) - untouched, untouched.astype(float)))  # fmt: skip
         change = change - change.mean(axis=0)
@@ -111,14 +115,14 @@ class PressView:
         at, loud = np.zeros((len(pictures), 3)), np.array([one.loud * one.ball for one in pictures])
         for k, one in enumerate(pictures):
             size = np.linalg.norm(one.change - np.median(one.change, axis=0), axis=1)
-            seen = size > LOUD * np.quantile(size, 0.995)
+            seen = size > DENT_CHANGE_SHARE * np.quantile(size, 0.995)
             centre = np.average(self.level[seen], axis=0, weights=size[seen])
             reach = 1.2 * np.linalg.norm(self.level - centre, axis=1)[seen].mean() * min(1, 2 * loud[k] / loud.max())
             at[k] = reach**2 / (1.6 * one.ball), *centre
         for k, one in enumerate(pictures):
             same = [j for j, other in enumerate(pictures) if other.recording == one.recording]
             best = max(same, key=lambda j: loud[j])
-            if loud[k] < FAINT * loud[best]:
+            if loud[k] < FAINT_DENT_SHARE * loud[best]:
                 at[k, 1:] = at[best, 1:]
         return at
 
@@ -143,9 +147,9 @@ class PressView:
         return np.asarray(table - table.mean(axis=0))
 
     def sector(self, at: Array) -> Array:
-        """The angle around a press's centre that each pixel belongs to (p,), from 0 to SECTORS - 1."""
+        """The angle around a press's centre that each pixel belongs to (p,), from 0 to MISFIT_SECTORS - 1."""
         angle = np.arctan2(*(self.level - at[1:]).T[::-1]) / (2 * np.pi) % 1.0
-        return np.asarray(np.minimum((SECTORS * angle).astype(int), SECTORS - 1))
+        return np.asarray(np.minimum((MISFIT_SECTORS * angle).astype(int), MISFIT_SECTORS - 1))
 
 
 def placed(
@@ -166,15 +170,17 @@ def placed(
     if near is None:
         best = located(view, pictures, dents, view.starts(pictures), USUAL_BLUR * thick, rich)
     else:
-        best = located(view, pictures, dents, near.at, near.blur, rich, rounds=FEW)
+        best = located(view, pictures, dents, near.at, near.blur, rich, rounds=MAX_REFINING_ROUNDS)
 
     def misfit(blur: float) -> float:
         nonlocal best
-        tried = located(view, pictures, dents, best.at, blur, rich, rounds=FEW)
+        tried = located(view, pictures, dents, best.at, blur, rich, rounds=MAX_REFINING_ROUNDS)
         best = min(best, tried, key=lambda one: float(one.misfit.sum()))
         return float(tried.misfit.sum())
 
-    minimize_scalar(misfit, bounds=(0.0, BLUR * thick), method="bounded", options={"xatol": BLUR_STEP * thick})
+    minimize_scalar(
+        misfit, bounds=(0.0, MAX_SLOPE_BLUR * thick), method="bounded", options={"xatol": SLOPE_BLUR_TOL * thick}
+    )
     return best
 
 
@@ -184,7 +190,7 @@ def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[f
     Recordings are left out in turn, at the depths and centres found with the simpler ones; with one recording, no.
     """
     groups = np.array([one.recording for one in pictures])
-    if len(np.unique(groups)) < LEAST_RECORDINGS:
+    if len(np.unique(groups)) < MIN_RECORDINGS_FOR_PLACE:
         return False
     thick = next(iter(dents.values())).thickness
     at = located(view, pictures, dents, view.starts(pictures), USUAL_BLUR * thick, False).at
@@ -202,7 +208,7 @@ def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[f
 
 def located(
     view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], start: Array, blur: float,
-    rich: bool, colours: Array | None = None, rounds: int = ROUNDS,
+    rich: bool, colours: Array | None = None, rounds: int = MAX_COLOUR_ROUNDS,
 ) -> Placed:  # fmt: skip
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
     at, found, moving = start.copy(), colours, np.ones(len(pictures), bool)
@@ -217,15 +223,15 @@ def located(
             step = _step(partial(view.columns, dent, blur=blur, rich=rich), pictures[k], at[k], tables[k], found, dent)
             at[k] += step
             tables[k] = view.columns(dent, at[k], blur, rich)
-            moving[k] = colours is None or abs(step[0]) > SETTLED
+            moving[k] = colours is None or abs(step[0]) > SETTLED_DEPTH_MM
             largest = max(largest, abs(step[0]))
-        if largest < SETTLED:
+        if largest < SETTLED_DEPTH_MM:
             break
     if colours is None:
         found = _colours(tables, pictures, rich)
     assert found is not None
     misfit = [
-        np.bincount(view.sector(a), ((t @ found - p.change) ** 2).sum(axis=1), SECTORS)
+        np.bincount(view.sector(a), ((t @ found - p.change) ** 2).sum(axis=1), MISFIT_SECTORS)
         for t, p, a in zip(tables, pictures, at, strict=True)
     ]
     return Placed(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
@@ -235,9 +241,9 @@ def _colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich: bo
     """The best colours (columns, 3) by least squares over all pictures."""
     normal = sum(t.T @ t for t in tables)
     right = sum(t.T @ p.change for t, p in zip(tables, pictures, strict=True))
-    held = RIDGE * np.diag(normal) + 1e-12 * np.trace(normal)
+    held = COLOUR_RIDGE * np.diag(normal) + 1e-12 * np.trace(normal)
     if not rich:
-        held[-PLACE:] += HELD * np.diag(normal)[:2].mean()
+        held[-PLACE_COLUMNS:] += PLACE_RIDGE * np.diag(normal)[:2].mean()
     return np.asarray(np.linalg.solve(normal + np.diag(held), right))
 
 
@@ -246,13 +252,18 @@ def _step(
 ) -> Array:
     """Change of depth, x and y [mm] by Gauss and Newton, within the depths that are solved."""
     made = table @ colours
-    slopes = [((columns(at + STEP * (np.arange(3) == k)) @ colours - made) / STEP).ravel() for k in range(3)]
+    slopes = [
+        ((columns(at + DEPTH_DIFFERENCE_MM * (np.arange(3) == k)) @ colours - made) / DEPTH_DIFFERENCE_MM).ravel()
+        for k in range(3)
+    ]
     jacobian = np.array(slopes)
     normal = jacobian @ jacobian.T
     held = normal + 1e-6 * max(float(np.trace(normal)), 1e-9) * np.eye(3)
-    step = np.clip(np.linalg.solve(held, jacobian @ (picture.change - made).ravel()), -MOST, MOST)
+    step = np.clip(
+        np.linalg.solve(held, jacobian @ (picture.change - made).ravel()), -MAX_CENTRE_STEP_MM, MAX_CENTRE_STEP_MM
+    )
     low, high = 0.7 * at[0] - 0.02, 1.5 * at[0] + 0.02  # no further in one round
-    step[0] = np.clip(np.clip(at[0] + step[0], low, high), LEAST, dents.depth[-1]) - at[0]
+    step[0] = np.clip(np.clip(at[0] + step[0], low, high), MIN_PRESS_DEPTH_MM, dents.depth[-1]) - at[0]
     return np.asarray(step)
 
 

@@ -23,7 +23,7 @@ from tacgen.sensor.yaml_source import KeyPath
 
 # Over the thickness of the gel [-]. Below, the contact is smaller than the mesh's cells (depths in metres are, in any
 # gel); above, the elements between indenter and base are crushed, and solves fail or take minutes.
-SHALLOWEST, DEEPEST = 0.005, 0.6
+MIN_PRESS_DEPTH_RATIO, MAX_PRESS_DEPTH_RATIO = 0.005, 0.6
 
 
 def place_problem(gel: Gel, at: tuple[float, float]) -> str:
@@ -38,7 +38,7 @@ def depth_problem(gel: Gel, depth: float, at: tuple[float, float], deeper: float
     if said := place_problem(gel, at):
         return said
     thick = gel.thickness_mm - gel.drop_mm(*at)
-    low, high = SHALLOWEST * thick, DEEPEST * thick / deeper
+    low, high = MIN_PRESS_DEPTH_RATIO * thick, MAX_PRESS_DEPTH_RATIO * thick / deeper
     if low <= depth <= high:
         return ""
     return f"must be from {low:.3g} to {high:.3g} mm in a gel of {thick:.3g} mm there (got {depth:.3g}): is it in mm?"

@@ -14,11 +14,11 @@ from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment
 
 Array = np.ndarray
-LEAST = 3  # rows of a table at least
-NODES = 12  # depths at which a curve is solved
-MARGIN = 0.1  # of the largest depth: range of the unknown depth of first touch
-LARGEST = 1e6  # of any number: no press has 1 MN, or lasts for 11 days
-POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
+MIN_FORCE_ROWS = 3  # rows of a table at least
+CURVE_DEPTHS = 12  # depths at which a curve is solved
+FIRST_TOUCH_RANGE = 0.1  # of the largest depth: range of the unknown depth of first touch
+MAX_TABLE_NUMBER = 1e6  # of any number: no press has 1 MN, or lasts for 11 days
+HERTZ_FORCE_POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
 
 
 @dataclass(frozen=True)
@@ -41,16 +41,16 @@ def read(table: Path) -> Measured:
     for line, row in csv_table.rows(table, ("depth_mm", "force_n"), (), wrong):
         for name in columns if "time_s" in row else ("depth_mm", "force_n"):
             value = csv_table.number(row[name])
-            if not abs(value) < LARGEST:
-                wrong.append(f"{table}:{line}: {name}: must be a number below {LARGEST:g} (got {row[name]!r})")
+            if not abs(value) < MAX_TABLE_NUMBER:
+                wrong.append(f"{table}:{line}: {name}: must be a number below {MAX_TABLE_NUMBER:g} (got {row[name]!r})")
             elif name == "time_s" and columns[name] and not value > columns[name][-1]:
                 wrong.append(f"{table}:{line}: time_s: must rise (got {value:.15g} after {columns[name][-1]:.15g})")
             elif name == "time_s" and value < 0:
                 wrong.append(f"{table}:{line}: time_s: must be at least 0, first touch (got {value:g})")
             columns[name].append(value)
     depth, force = np.array(columns["depth_mm"]), np.array(columns["force_n"])
-    if not wrong and len(depth) < LEAST:
-        wrong.append(f"{table}: has {len(depth)} rows, and a fit takes {LEAST} at least")
+    if not wrong and len(depth) < MIN_FORCE_ROWS:
+        wrong.append(f"{table}: has {len(depth)} rows, and a fit takes {MIN_FORCE_ROWS} at least")
     elif not wrong and not (depth.max() > 0 and force.max() > 0):
         wrong.append(f"{table}: holds no press: depths and forces count positive into the gel")
     if wrong:
@@ -75,8 +75,8 @@ def solved(row: Row, depths: Array) -> Array:
 
 
 def depths_for(largest: float) -> Array:
-    """Depths (NODES,) [mm] at which a curve is solved, for a table with this largest depth."""
-    return np.linspace(0, (1 + MARGIN) * largest, NODES + 1)[1:]
+    """Depths (CURVE_DEPTHS,) [mm] at which a curve is solved, for a table with this largest depth."""
+    return np.linspace(0, (1 + FIRST_TOUCH_RANGE) * largest, CURVE_DEPTHS + 1)[1:]
 
 
 class Curves:
@@ -85,7 +85,7 @@ class Curves:
     def __init__(self, depth: Array, force: Array, values: Array | None = None) -> None:
         """depth (n,) [mm] rising from above 0; force (k, n) [N]; values (k,) rising, None where k is 1."""
         self.deepest, self.values = float(depth[-1]), values
-        rooted = np.concatenate([np.zeros((len(force), 1)), np.maximum(force, 0) ** POWER], axis=1)
+        rooted = np.concatenate([np.zeros((len(force), 1)), np.maximum(force, 0) ** HERTZ_FORCE_POWER], axis=1)
         self._over = CubicSpline(np.concatenate([[0.0], depth]), rooted, axis=1)
 
     def force(self, depth: Array, value: float = 0.0) -> Array:
@@ -95,4 +95,4 @@ class Curves:
             rooted = PchipInterpolator(self.values, rooted)(value)
         else:
             (rooted,) = rooted
-        return np.asarray(np.maximum(rooted, 0) ** (1 / POWER))
+        return np.asarray(np.maximum(rooted, 0) ** (1 / HERTZ_FORCE_POWER))

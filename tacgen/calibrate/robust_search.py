@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 Array = np.ndarray
-ROUNDS = 12  # Gauss-Newton steps at most
-SETTLED = 2e-3  # largest change in the last step: of half a range, or of what a radiance may change by
-SHARES = (1.0, 0.5, 0.25)  # of a step that are tried until the loss falls
+MAX_GAUSS_NEWTON_STEPS = 12  # Gauss-Newton steps at most
+SETTLED_STEP = 2e-3  # largest change in the last step: of half a range, or of what a radiance may change by
+STEP_FRACTIONS = (1.0, 0.5, 0.25)  # of a step that are tried until the loss falls
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def search(
     here = table(x)
     off = left(x, here)
     now = cost(off, x)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_GAUSS_NEWTON_STEPS):
         slope = np.column_stack(
             [(tables.slopes @ np.append(x[free:] * ridge.scale, -1.0)).T, here[:, :-1] * ridge.scale]
         )
@@ -88,7 +88,7 @@ def search(
         root = np.linalg.cholesky(square)
         within = (np.minimum(least - x, -1e-12), np.maximum(most - x, 1e-12))
         step = lsq_linear(root.T, -np.linalg.solve(root, falls), within, method="bvls").x
-        for share in SHARES:
+        for share in STEP_FRACTIONS:
             tried = np.clip(x + share * step, least, most)
             here = table(tried)
             off = left(tried, here)
@@ -97,6 +97,6 @@ def search(
         else:
             break
         x, now = tried, then
-        if np.abs(share * step).max() < SETTLED:
+        if np.abs(share * step).max() < SETTLED_STEP:
             break
     return x[:free], x[free:] * ridge.scale

@@ -14,7 +14,7 @@ from tacgen.calibrate.ball_dents import Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
 from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.optics import changes_of
-from tacgen.calibrate.photos import TABLE, GaugedPhotos, PhotographedPress, Photos
+from tacgen.calibrate.photos import PRESS_TABLE_FILE, GaugedPhotos, PhotographedPress, Photos
 from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
 from tacgen.calibrate.press_colours import PressPicture, PressView
 from tacgen.calibrate.unseen import Fitted
@@ -25,13 +25,14 @@ from tacgen.report import fit_figures
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath, format_path
 
-BY = "by tacgen calibrate unit"
-EXPLAINED = 0.3  # least share of the pictures' changes that dents of the given balls explain
-WIDER, GRADE = 1.2, 1.25  # contact radius that is solved, over the largest rough one; and its steps
-SHOWN = 6  # presses to which lights are fitted
-DEEPER = 0.4  # of the deepest press: least depth of those
-DEEP = 0.999  # of the largest depth that is solved
-MEASURE = {
+UNIT_SOURCE = "by tacgen calibrate unit"
+MIN_EXPLAINED_SHARE = 0.3  # least share of the pictures' changes that dents of the given balls explain
+# contact radius that is solved, over the largest rough one; and its steps
+CONTACT_RADIUS_MARGIN, CONTACT_RADIUS_RATIO = 1.2, 1.25
+LIGHT_FIT_PRESSES = 6  # presses to which lights are fitted
+MIN_LIGHT_FIT_DEPTH = 0.4  # of the deepest press: least depth of those
+DEEPEST_SOLVED_SHARE = 0.999  # of the largest depth that is solved
+UNIT_MEASURE_HINTS = {
     "thickness": "press until the contact is wider than the gel is thick, also with a larger ball, or give"
     " --keep-thickness and the thickness in the sensor file",
     "modulus": "press to larger and more different forces",
@@ -145,7 +146,7 @@ class Unit(SensorFit):
 
     def head(self) -> Iterator[str]:
         """Numbers that were found, and how well."""
-        yield f"Fitted {BY} to {self.said}:"
+        yield f"Fitted {UNIT_SOURCE} to {self.said}:"
         yield from (f"  {line}" for line in self.found())
         yield from self.unseen()
 
@@ -195,15 +196,17 @@ class Work:
         rough = view.starts(pictures)
         step = sensor.gel.thickness_mm / 2  # rounded, so that other presses of the unit find them in the cache
         x, y = (float(step * np.round(v / step)) for v in np.median(rough[:, 1:], axis=0))
-        tried = fit_unit.FACTORS if asked.thickness else (1.0,)
+        tried = fit_unit.THICKNESS_FACTORS if asked.thickness else (1.0,)
         dents = []
         for factor in tried:
             one = with_thickness(sensor, factor * sensor.gel.thickness_mm)
             each = {}
             for ball in sorted({picture.ball for picture in pictures}):
                 here = [k for k, picture in enumerate(pictures) if picture.ball == ball]
-                widest = np.log(WIDER * np.sqrt(1.6 * ball * rough[here, 0].max())) / np.log(GRADE)
-                most = round(float(GRADE ** np.ceil(widest)), 3)
+                widest = np.log(CONTACT_RADIUS_MARGIN * np.sqrt(1.6 * ball * rough[here, 0].max())) / np.log(
+                    CONTACT_RADIUS_RATIO
+                )
+                most = round(float(CONTACT_RADIUS_RATIO ** np.ceil(widest)), 3)
                 each[ball] = ball_dents.solved(one, ball, (x, y), most, asked.friction, asked.quality)
             dents.append(each)
         return cls(sensor, photos, asked, view, pictures, gauge, tuple(dents))
@@ -214,13 +217,13 @@ class Work:
         try:
             return fit_unit.fit(optics, self.pictures, self.dents, self.gauge)
         except ValueError as error:
-            raise UserError(f"{self.photos.folder / TABLE}: {error}") from None
+            raise UserError(f"{self.photos.folder / PRESS_TABLE_FILE}: {error}") from None
 
     def too_deep(self, found: UnitFit) -> Iterator[str]:
         """A line on each press that is deeper than what is solved."""
         k = found.optics.between(found.optics.best)[0]
         for press, picture, depth in zip(self.photos.presses, self.pictures, found.depth, strict=True):
-            if depth > DEEP * (deepest := self.dents[k][picture.ball].depth[-1]):
+            if depth > DEEPEST_SOLVED_SHARE * (deepest := self.dents[k][picture.ball].depth[-1]):
                 yield (f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
                        f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
 
@@ -250,8 +253,8 @@ class Work:
     def lights(self, fitted: UnitFit) -> Fitted:
         """The lights of the sensor with the fitted thickness, fitted to how some of the presses at their found depths
         change the picture: the untouched one, with its glare, can be the background of rendered pictures."""
-        deep = [k for k in np.argsort(fitted.depth) if fitted.depth[k] > DEEPER * fitted.depth.max()]
-        some = [int(deep[round(k)]) for k in np.linspace(0, len(deep) - 1, min(SHOWN, len(deep)))]
+        deep = [k for k in np.argsort(fitted.depth) if fitted.depth[k] > MIN_LIGHT_FIT_DEPTH * fitted.depth.max()]
+        some = [int(deep[round(k)]) for k in np.linspace(0, len(deep) - 1, min(LIGHT_FIT_PRESSES, len(deep)))]
         sensor = self.at_thickness(fitted)
         photos = Photos(self.photos.folder, self.photos.presses[0].untouched, self._shown(fitted, some))
         untouched = Untouched.of(sensor.gel)
@@ -288,9 +291,9 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     work = Work.of(sensor, photos, asked)
     raw = work.fitted()
     drift = press_colours.drift(work.pictures, work.gauge.recording, work.gauge.time)
-    if wrong := [*work.too_deep(raw), *_undetermined(raw, folder / TABLE)]:
+    if wrong := [*work.too_deep(raw), *_undetermined(raw, folder / PRESS_TABLE_FILE)]:
         no_dents = plausible.no_dents(raw.optics.explained, drift)
-        raise UserError(f"{folder / TABLE}: {no_dents}" if no_dents else wrong)
+        raise UserError(f"{folder / PRESS_TABLE_FILE}: {no_dents}" if no_dents else wrong)
     fitted = fit_unit.corrected(raw, work.at_thickness(raw), work.view, work.pictures, work.dents, work.gauge)
     judged, lights = work.judged(), work.lights(fitted) if asked.lights else None
     made = Unit(path, sensor, {}, photos, work.gauge, drift, asked, fitted, judged, lights)
@@ -299,14 +302,14 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
 
 def _undetermined(fitted: UnitFit, table: Path) -> Iterator[str]:
     """A line on each number that the presses do not determine, and what to measure."""
-    if (share := fitted.optics.explained) < EXPLAINED:
+    if (share := fitted.optics.explained) < MIN_EXPLAINED_SHARE:
         yield (f"{table}: dents of these balls explain {100 * share:.0f} % of the pictures' change: are"
                " radii, mm_per_px and the untouched picture right?")  # fmt: skip
         return
     tried = fitted.optics.thickness
     for name in fitted.open:
         reach = f" within {tried[0]:.3g} to {tried[-1]:.3g} mm" if name == "thickness" else ""
-        yield f"{table}: {name}: is not determined{reach} by these presses: {MEASURE[name.split()[0]]}"
+        yield f"{table}: {name}: is not determined{reach} by these presses: {UNIT_MEASURE_HINTS[name.split()[0]]}"
 
 
 def _changes(made: Unit, now: LitSensor) -> dict[KeyPath, Any]:
@@ -326,7 +329,7 @@ def _changes(made: Unit, now: LitSensor) -> dict[KeyPath, Any]:
         )
         out[*here, "source"] = (
             f"{layer.source}; {thick if made.asked.thickness else ''}moduli times {modulus.value:.4g}"
-            f" ({modulus.low:.3g} to {modulus.high:.3g} with 95 %), fitted to {made.said} {BY}"
+            f" ({modulus.low:.3g} to {modulus.high:.3g} with 95 %), fitted to {made.said} {UNIT_SOURCE}"
         )
     for k, led in enumerate(now.leds):
         if led.center_mm != made.sensor.leds[k].center_mm:

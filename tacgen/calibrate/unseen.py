@@ -16,18 +16,18 @@ from tacgen.report import fit_figures
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
-DRAWN, SPP = 6, 16  # presses in the figure; samples a pixel, of gels that scatter light
-EACH = 5  # up to so many presses each is left out once
-EVERY = 3  # of more, every third is held out
+DRAWN, FIGURE_SPP = 6, 16  # presses in the figure; samples a pixel, of gels that scatter light
+MAX_LEAVE_ONE_OUT_PRESSES = 5  # up to so many presses each is left out once
+HOLD_OUT_INTERVAL = 3  # of more, every third is held out
 
 
 def folds(presses: int) -> list[list[int]]:
     """Numbers, from 1, of the presses that are held out together, a list for each fit; none below two presses."""
     if presses < 2:
         return []
-    if presses <= EACH:
+    if presses <= MAX_LEAVE_ONE_OUT_PRESSES:
         return [[k] for k in range(1, presses + 1)]
-    return [list(range(EVERY, presses + 1, EVERY))]
+    return [list(range(HOLD_OUT_INTERVAL, presses + 1, HOLD_OUT_INTERVAL))]
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class Unseen:
 
         `untouched`: photograph (H, W, 3), 8 bit.
         """
-        before, rows = Renderer(sensor, SPP, 0, markers=False), []
+        before, rows = Renderer(sensor, FIGURE_SPP, 0, markers=False), []
         for k, (press, face) in enumerate(zip(self.presses[:DRAWN], self.faces, strict=False)):
-            after = Renderer(self.sensors[k], SPP, 0, markers=False)
+            after = Renderer(self.sensors[k], FIGURE_SPP, 0, markers=False)
             titles = [press.name, f"before: {self.score(0, k)}", f"after: {self.score(1, k)}"]
             shown = [(press.picture, untouched)]
             shown += [(r.develop(r.image(face)), r.develop(r.flat())) for r in (before, after)]

@@ -20,16 +20,16 @@ from tacgen.base.terminal import dropping, open_standard_streams, say
 Bundles = Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
-DISK_ERRORS = tuple(
+DISK_ERROR_NUMBERS = tuple(
     getattr(errno, name)
     for name in (
         *("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG"),
         *("EBUSY", "ENXIO"),
     )
 )
-MAX_DIGITS = 7  # of a number of scenes, which are a million at most
-LEAST_ADDRESS_SPACE = 1_100_000_000  # of a small solve [bytes]; with much less, OpenBLAS ends the process
-SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+MAX_SCENE_COUNT_DIGITS = 7  # of a number of scenes, which are a million at most
+MIN_ADDRESS_SPACE_BYTES = 1_100_000_000  # of a small solve [bytes]; with much less, OpenBLAS ends the process
+SCARCITY_ERRORS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
 class Commands(TyperGroup):
@@ -41,7 +41,7 @@ class Commands(TyperGroup):
         try:
             return super().main(*args, **more)
         except OSError as error:
-            if error.errno not in (*DISK_ERRORS, *SCARCE):
+            if error.errno not in (*DISK_ERROR_NUMBERS, *SCARCITY_ERRORS):
                 raise
             place = f"{error.filename}: " if error.filename else ""
             say(f"{place}{error.strerror}", err=True)
@@ -161,7 +161,7 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in (*DISK_ERRORS, errno.ENOENT):
+        if error.errno not in (*DISK_ERROR_NUMBERS, errno.ENOENT):
             raise
         raise UserError(f"{error.filename or place}: cannot be written: {error.strerror}") from None
 
@@ -197,7 +197,7 @@ def probe(folder: Path) -> None:
 def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
     """The plan of a recipe given by path or name, or a shard of it. Raises MemoryError: too little to solve any."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+    if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESS_SPACE_BYTES:
         raise MemoryError
     from tacgen.recipe import assets, plan
 
@@ -222,7 +222,7 @@ def shard_of(text: str) -> tuple[int, int]:
 
 def _whole(text: str) -> float:
     """A number of scenes or workers; nan for what is none, and for more digits than one can have."""
-    return int(text) if text.isdecimal() and len(text) <= MAX_DIGITS else math.nan
+    return int(text) if text.isdecimal() and len(text) <= MAX_SCENE_COUNT_DIGITS else math.nan
 
 
 def workers_of(text: str) -> int:
@@ -242,7 +242,7 @@ def priced(plan: Any, workers: int) -> dict[str, Any]:
     from tacgen.report.progress import Progress
 
     rows = probe.chosen(plan)
-    say(f"timing {len(rows)} of {len(plan.rows)} scenes, for {probe.ENOUGH_S:g} s at most", err=True)
+    say(f"timing {len(rows)} of {len(plan.rows)} scenes, for {probe.TIMING_S:g} s at most", err=True)
     with Progress(len(rows), sum(row.frames for row in rows)) as progress:
         cost, memory = probe.probe(plan, workers, on_event=progress)
     text = f"{cost.text(min(workers, len(plan.rows)))}; {memory:.2g} GB of memory a worker"

@@ -10,13 +10,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
-PACKAGES = (
+NEEDED_PACKAGES = (
     *("numpy", "scipy", "numba", "h5py", "deflate", "pydantic", "ruamel.yaml", "typer", "click"),
     *("rich", "platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl"),
     *("pytetwild", "mitsuba", "drjit", "OpenEXR"),
 )
-REPLACEABLE = ("cvxopt", "pymetis")  # optional: without them another linear solver is used
-FREE_GB = 1.0  # free disk below which a warning is given [GB]
+REPLACEABLE_PACKAGES = ("cvxopt", "pymetis")  # optional: without them another linear solver is used
+MIN_FREE_DISK_GB = 1.0  # free disk below which a warning is given [GB]
 
 
 class Diagnosis(NamedTuple):
@@ -46,8 +46,8 @@ def _python() -> Iterator[Diagnosis]:
 
 
 def _packages() -> Iterator[Diagnosis]:
-    for name in (*PACKAGES, *REPLACEABLE):
-        needed = name in PACKAGES
+    for name in (*NEEDED_PACKAGES, *REPLACEABLE_PACKAGES):
+        needed = name in NEEDED_PACKAGES
         try:
             yield Diagnosis(name, True, version(name), needed)
         except PackageNotFoundError:
@@ -102,4 +102,4 @@ def _threads() -> Iterator[Diagnosis]:
 def _disk() -> Iterator[Diagnosis]:
     for name, folder in (("disk here", Path.cwd()), ("disk for scratch", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free / 1e9
-        yield Diagnosis(name, free > FREE_GB, f"{free:.1f} GB free", needed=False)
+        yield Diagnosis(name, free > MIN_FREE_DISK_GB, f"{free:.1f} GB free", needed=False)

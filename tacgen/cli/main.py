@@ -40,7 +40,7 @@ RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
 ]
-FORMATS = "lerobot, webdataset, zarr, sparsh, feats, feelanyforce, univtac, rerun, vtkhdf or exr"
+EXPORT_FORMATS = "lerobot, webdataset, zarr, sparsh, feats, feelanyforce, univtac, rerun, vtkhdf or exr"
 Merge = Annotated[bool, typer.Option("--merge", help="Take several data sets below the folder as one.")]
 Workers = Annotated[
     str, typer.Option(metavar="N", help="Number of worker processes, one core each; auto: as cores and memory allow.")
@@ -104,7 +104,7 @@ def run(
     with writing(out):
         probe(out)
         from tacgen import batch
-        from tacgen.bundle.check import UNIQUE
+        from tacgen.bundle.check import UNIQUE_PATH
         from tacgen.report import dataset_card
         from tacgen.report.progress import Progress
 
@@ -128,8 +128,8 @@ def run(
             )
         if any(result.status == "ok" for result in results):
             card = dataset_card.write(out, (bundle for result in results for bundle in result.bundles))
-            if card != out / dataset_card.FILE_NAME:
-                warn([f"{out / dataset_card.FILE_NAME}: not the card that tacgen wrote, kept; the card is {card}"])
+            if card != out / dataset_card.CARD_FILE:
+                warn([f"{out / dataset_card.CARD_FILE}: not the card that tacgen wrote, kept; the card is {card}"])
     count = {status: sum(r.status == status for r in results) for status in ("ok", "rejected", "failed")}
     if as_json:
         line({"event": "end", "folder": str(out), **count})
@@ -139,7 +139,7 @@ def run(
                 say(f"{result.name}: {result.status}: {result.reason}")
         more = f", {count['failed']} failed" if count["failed"] else ""
         kept = (one for result in results if result.status == "ok" for one in result.bundles)
-        marks = [one[UNIQUE] for one in kept if UNIQUE in one]
+        marks = [one[UNIQUE_PATH] for one in kept if UNIQUE_PATH in one]
         if folded := sum(int((~mark).sum()) for mark in marks):
             more += f"; {folded} of {sum(map(len, marks))} frames after a fold of the gel, where forces are not unique"
         say(f"{out}: {counted(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")
@@ -193,7 +193,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     tell(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    bonded = sensor_checks.bonded_note(row.sensor, row.folders.get(("sensor", *loading.SOLID)))
+    bonded = sensor_checks.bonded_note(row.sensor, row.folders.get(("sensor", *loading.SOLID_FILE_KEY)))
     for note in [*row.notes, *bonded, *scene_checks.notes(plan.rows)]:
         tell(f"note: {note}")
 
@@ -260,13 +260,15 @@ def show_list(
     as_json: AsJson = False,
 ) -> None:
     """List the available sensors, recipes, objects, indenter shapes, outputs and export formats."""
-    from tacgen.report.catalogue import KINDS
+    from tacgen.report.catalogue import CATALOGUE_KINDS
 
-    if kind and kind not in KINDS:
+    if kind and kind not in CATALOGUE_KINDS:
         from tacgen.sensor.validation_messages import suggest
 
-        raise UserError(f"{kind}: unknown kind{suggest(kind, KINDS)}; there are: {', '.join(KINDS)}")
-    listed = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
+        raise UserError(
+            f"{kind}: unknown kind{suggest(kind, CATALOGUE_KINDS)}; there are: {', '.join(CATALOGUE_KINDS)}"
+        )
+    listed = {name: CATALOGUE_KINDS[name]() for name in ([kind] if kind else CATALOGUE_KINDS)}
     lines: list[str] = []
     for name, entries in listed.items():
         width = max(map(len, entries), default=0)
@@ -318,7 +320,9 @@ for command in (replay, report, show, view):
 
 @app.command()
 def export(
-    kind: Annotated[str, typer.Argument(metavar="FORMAT", help=f"{FORMATS}; `tacgen list formats` describes them.")],
+    kind: Annotated[
+        str, typer.Argument(metavar="FORMAT", help=f"{EXPORT_FORMATS}; `tacgen list formats` describes them.")
+    ],
     source: Bundles,
     out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
     merge: Merge = False,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from tacgen.base import output_file, regular_file
 from tacgen.base.errors import UserError
 from tacgen.bundle import whole_folder
-from tacgen.bundle.dataset import CARDS
+from tacgen.bundle.dataset import CARD_FILES
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +39,7 @@ EXPORTERS = {
 
 
 IMAGE = (240, 320, 3)  # which FEATS and FeelAnyForce take
-DIVIDED = ("lerobot", "sparsh", "feelanyforce", "zarr", "webdataset")  # into train, val and test
+SPLIT_FORMATS = ("lerobot", "sparsh", "feelanyforce", "zarr", "webdataset")  # into train, val and test
 
 
 def bundles(source: Path, *, merge: bool = False) -> "list[Bundle]":
@@ -102,18 +102,18 @@ def export(
         made = [path.relative_to(folder) for path in module.write(sources, folder)]
         page = card(sources, folder).encode() if card else _card(source)
         if page:
-            output_file.add(folder / CARDS[0], page)
-            made.append(Path(CARDS[0]))
-    if tell and kind in DIVIDED:
+            output_file.add(folder / CARD_FILES[0], page)
+            made.append(Path(CARD_FILES[0]))
+    if tell and kind in SPLIT_FORMATS:
         tell(empty_parts(sources))
     return [out / path for path in made]
 
 
 def _card(source: Path) -> bytes:
     """The card that tacgen wrote for the data set in a folder; empty without one."""
-    cards = (source / name for name in CARDS) if source.is_dir() else ()
+    cards = (source / name for name in CARD_FILES) if source.is_dir() else ()
     page = next((path for path in cards if output_file.is_unchanged_page(path)), None)
-    return b"" if page is None else regular_file.read_bytes(page, output_file.LARGEST_PAGE)
+    return b"" if page is None else regular_file.read_bytes(page, output_file.MAX_PAGE_BYTES)
 
 
 def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:

@@ -18,7 +18,7 @@ from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS, assigned
 from tacgen.export import names, poses
 
-ALONE = "tactile"  # stands for the sensor in names of episodes with a single sensor
+SINGLE_SENSOR = "tactile"  # stands for the sensor in names of episodes with a single sensor
 
 
 class Episode(NamedTuple):
@@ -26,7 +26,7 @@ class Episode(NamedTuple):
 
     name: str  # of its first scene
     split: str  # train, val or test
-    scenes: dict[str, Bundle]  # by the sensor's name or the finger, or ALONE
+    scenes: dict[str, Bundle]  # by the sensor's name or the finger, or SINGLE_SENSOR
     sources: dict[str, str]  # names of the scenes, by the same keys
 
     @property
@@ -54,7 +54,7 @@ def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
     groups = [{role_of(bundles[i]): i for i in together} for together in contacts(bundles)]
     most = max(groups, key=len)
     if len(most) == 1:
-        groups = [{ALONE: i} for i in range(len(bundles))]
+        groups = [{SINGLE_SENSOR: i} for i in range(len(bundles))]
     made, lacking = [], list[str]()
     for group in groups:
         if len(most) == 1 or group.keys() == most.keys():

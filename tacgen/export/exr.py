@@ -14,7 +14,7 @@ from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
 
-CHANNELS = {"radiance": "R G B", "height": "Z", "normals": "N.X N.Y N.Z", "material": "P.X P.Y"}
+EXR_CHANNELS = {"radiance": "R G B", "height": "Z", "normals": "N.X N.Y N.Z", "material": "P.X P.Y"}
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
@@ -45,7 +45,7 @@ def encoded(layers: dict[str, np.ndarray]) -> bytes:
 def channels(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
     """The channels (H, W) of a frame by name."""
     channel: dict[str, np.ndarray] = {}
-    for field, called in CHANNELS.items():
+    for field, called in EXR_CHANNELS.items():
         if bundle.shapes.get(path := f"/frames/{field}", ())[:3] == bundle.shapes["/frames/radiance"][:3]:
             values = bundle.frame(path, frame)
             layers = np.atleast_3d(values).astype(np.float32)

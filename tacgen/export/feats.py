@@ -18,8 +18,8 @@ from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs, needs_image, npy
 
-GRID = (24, 32)
-SIGNS = (("x", -1.0), ("y", -1.0), ("z", 1.0))
+FEATS_FORCE_GRID = (24, 32)
+FEATS_FORCE_SIGNS = (("x", -1.0), ("y", -1.0), ("z", 1.0))
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
@@ -42,11 +42,11 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 def sample(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
     """The dictionary of a frame."""
     force = bundle.frame("/frames/force_map", frame).astype(float)
-    rows, columns = (shares(n, cells) for n, cells in zip(force.shape, GRID, strict=False))
+    rows, columns = (shares(n, cells) for n, cells in zip(force.shape, FEATS_FORCE_GRID, strict=False))
     label = {"gs_img": bundle.frame("/frames/rgb", frame)}
-    for axis, (name, sign) in enumerate(SIGNS):
+    for axis, (name, sign) in enumerate(FEATS_FORCE_SIGNS):
         label[f"grid_{name}"] = sign * (rows @ force[..., axis] @ columns.T)
-    for name, _ in SIGNS:
+    for name, _ in FEATS_FORCE_SIGNS:
         label[f"f_{name}"] = label[f"grid_{name}"].sum()
     return label
 

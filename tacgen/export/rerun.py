@@ -25,14 +25,14 @@ import numpy as np
 from tacgen.base.errors import UserError
 from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import MODE, task
+from tacgen.bundle.caption import EVENT_MODE_PATH, task
 from tacgen.bundle.image_file import encoded
 from tacgen.export import names
 
 SUFFIX = ".rrd"
-MAPS = {"pressure": ["row", "column"], "traction": ["row", "column", "xy"], "height": ["row", "column"]}
-AXES = ("x", "y", "z")
-FACES = (  # rest points, facets and displacement of the face, in the order in which they are looked for
+MAP_DIMENSIONS = {"pressure": ["row", "column"], "traction": ["row", "column", "xy"], "height": ["row", "column"]}
+AXIS_NAMES = ("x", "y", "z")
+FACE_DATASETS = (  # rest points, facets and displacement of the face, in the order in which they are looked for
     ("/mesh/surface/points", "/mesh/surface/facets", "/fields/surface_displacement"),
     ("/mesh/points", "/mesh/facets/coated", "/fields/displacement"),
 )
@@ -70,7 +70,7 @@ def recording(bundle: Bundle, name: str) -> bytes:
             record.set_time("time", duration=float(bundle["/frames/time"][k]))
         if "/frames/rgb" in bundle:
             record.log("camera", _image(bundle.frame("/frames/rgb", k)))
-        for field, axes in MAPS.items():
+        for field, axes in MAP_DIMENSIONS.items():
             if f"/frames/{field}" in bundle:
                 record.log(f"maps/{field}", rr.Tensor(bundle.frame(f"/frames/{field}", k), dim_names=axes))
         if surface:
@@ -87,12 +87,12 @@ def _vectors(record: Any, bundle: Bundle) -> None:
     if "/frames/time" in bundle:
         times.append(rr.TimeColumn("time", duration=bundle["/frames/time"]))
     series = {name: bundle[f"/frames/{name}"] for name in ("force", "torque") if f"/frames/{name}" in bundle}
-    labels = {name: [f"{name[0].upper()}{axis}" for axis in AXES] for name in series}
+    labels = {name: [f"{name[0].upper()}{axis}" for axis in AXIS_NAMES] for name in series}
     if len(series) == 2:
         series["wrench"] = np.hstack([series["force"], series["torque"]])
         labels["wrench"] = [*labels["force"], *labels["torque"]]
-    if MODE in bundle:
-        series["contact_mode"], labels["contact_mode"] = bundle[MODE][:, None].astype(float), ["mode"]
+    if EVENT_MODE_PATH in bundle:
+        series["contact_mode"], labels["contact_mode"] = bundle[EVENT_MODE_PATH][:, None].astype(float), ["mode"]
     for name, values in series.items():
         record.log(name, rr.SeriesLines(names=labels[name]), static=True)
         record.send_columns(name, indexes=times, columns=rr.Scalars.columns(scalars=values))
@@ -124,7 +124,7 @@ class FaceMesh(NamedTuple):
 
 def face(bundle: Bundle) -> FaceMesh | None:
     """The face from finite elements or, without them, from its height and the camera; None without either."""
-    for points, facets, displacement in FACES:
+    for points, facets, displacement in FACE_DATASETS:
         if all(path in bundle for path in (points, facets, displacement)):
             corners = bundle[facets]
             parts = [corners[:, [0, 1, 2]]] + ([corners[:, [0, 2, 3]]] if corners.shape[1] == 4 else [])

@@ -41,11 +41,11 @@ from tacgen.bundle.image_file import encoded
 from tacgen.bundle.splits import assigned
 from tacgen.export import needs, poses
 
-SENSORS = ("digit", "gelsight")  # as Sparsh names them; sensors are told by how their names begin
-PICTURES = 5000  # in a file, as in Sparsh's own data sets
-LOOK_BACK = 5  # frames that Sparsh leaves out of each trajectory
-SLIPS = ("sliding", "turning")
-LISTS = {"train": "list_datasets", "val": "list_datasets_val", "test": "list_datasets_test"}
+SPARSH_SENSORS = ("digit", "gelsight")  # as Sparsh names them; sensors are told by how their names begin
+PICTURES_PER_FILE = 5000  # in a file, as in Sparsh's own data sets
+SKIPPED_FRAMES = 5  # frames that Sparsh leaves out of each trajectory
+SLIP_MODES = ("sliding", "turning")
+SPLIT_LIST_KEYS = {"train": "list_datasets", "val": "list_datasets_val", "test": "list_datasets_test"}
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
@@ -57,13 +57,13 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     for bundle in bundles:
         needs(bundle, ("/frames/rgb", "/reference/rgb", "/frames/events/mode"), "rgb and events")
         _sensor(bundle)
-    if max(bundle.frames for bundle in bundles) <= LOOK_BACK:
-        raise UserError(f"{bundles[0].path}: Sparsh needs scenes of more than {LOOK_BACK} frames, all are shorter")
+    if max(bundle.frames for bundle in bundles) <= SKIPPED_FRAMES:
+        raise UserError(f"{bundles[0].path}: Sparsh needs scenes of more than {SKIPPED_FRAMES} frames, all are shorter")
     made: list[Path] = []
-    listed: dict[str, dict[str, list[str]]] = defaultdict(lambda: {name: [] for name in LISTS.values()})
+    listed: dict[str, dict[str, list[str]]] = defaultdict(lambda: {name: [] for name in SPLIT_LIST_KEYS.values()})
     for (sensor, shape, split, _), scenes in _batches(bundles).items():
         number = 1 + sum(name.startswith(f"{shape}/") for names in listed[sensor].values() for name in names)
-        listed[sensor][LISTS[split]].append(f"{shape}/batch_{number}")
+        listed[sensor][SPLIT_LIST_KEYS[split]].append(f"{shape}/batch_{number}")
         made += _write(scenes, sensor, out / sensor / shape / f"batch_{number}")
     for sensor, lists in listed.items():
         made.append(add(out / sensor / "datasets.json", json.dumps(lists, indent=1) + "\n"))
@@ -72,7 +72,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 def _sensor(bundle: Bundle) -> str:
     """Sparsh's name of the sensor."""
-    for known in SENSORS:
+    for known in SPARSH_SENSORS:
         if bundle.attrs["sensor"].startswith(known):
             return known
     raise UserError(f"{bundle.path}: Sparsh knows digit and gelsight, not {bundle.attrs['sensor']}")
@@ -97,7 +97,7 @@ def _write(scenes: Sequence[Bundle], sensor: str, folder: Path) -> list[Path]:
         touched.append((bundle["/frames/events/mode"] != 0).astype(np.int64))
         start += bundle.frames
         for k in range(bundle.frames):
-            if len(pictures) == PICTURES:
+            if len(pictures) == PICTURES_PER_FILE:
                 made.append(_dump(pictures, folder / f"dataset_{sensor}_{len(made):02d}.pkl"))
                 pictures = []
             pictures.append(_picture(bundle.frame("/frames/rgb", k)))
@@ -111,7 +111,7 @@ def _trajectory(bundle: Bundle, start: int) -> dict[str, Any]:
     return {
         "indexes": start + np.arange(bundle.frames),
         "forces": bundle["/frames/force"],
-        "slip_label": np.array([mode in SLIPS for mode in modes(bundle)], np.int64),
+        "slip_label": np.array([mode in SLIP_MODES for mode in modes(bundle)], np.int64),
         "poses": poses(bundle["/frames/pose"]),
         "coef_friction": float(bundle.recipe.get("contact", {}).get("friction", 0.0)),
     }

@@ -23,7 +23,7 @@ from tacgen.bundle.hdf5_file import written_file
 from tacgen.bundle.image_file import encoded
 from tacgen.export import names, needs, poses
 
-METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # factors that convert a pose from mm to m
+POSE_TO_METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # factors that convert a pose from mm to m
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses
 
 
@@ -54,7 +54,7 @@ def episode(bundle: Bundle) -> dict[str, np.ndarray]:
         "step": steps,
         "atom/id": bundle["/frames/segment"].astype(np.int64),
         "atom/tag": np.array(bundle.segments, dtype=bytes),
-        "actor/indenter": poses(bundle["/frames/pose"]) * METRES,
+        "actor/indenter": poses(bundle["/frames/pose"]) * POSE_TO_METRES,
     }
     still = np.tile([0, 0, 0, 1.0, 0, 0, 0], (len(steps), 1))
     tactile: dict[str, Any] = {"rgb": streams(bundle["/frames/rgb"]), "pose": still}

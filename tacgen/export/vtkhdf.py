@@ -18,11 +18,11 @@ from tacgen.bundle.hdf5_file import written_file
 from tacgen.export import names, needs
 
 SUFFIX = ".vtkhdf"
-VERSION = (2, 2)  # the first version with time steps on a static mesh; read by ParaView since 5.13
+VTKHDF_VERSION = (2, 2)  # the first version with time steps on a static mesh; read by ParaView since 5.13
 CELL_TYPES = {8: 12, 4: 10, 10: 24}  # nodes -> VTK_HEXAHEDRON, VTK_TETRA, VTK_QUADRATIC_TETRA
-TENSOR = (0, 1, 2, 5, 3, 4)  # of xx yy zz yz xz xy
-NEEDED = ("/mesh/points", "/mesh/cells", "/mesh/layer", "/fields/displacement")
-FIELDS = (  # dataset of the bundle, name and location in VTK
+VTK_TENSOR_ORDER = (0, 1, 2, 5, 3, 4)  # of xx yy zz yz xz xy
+NEEDED_VTK_DATASETS = ("/mesh/points", "/mesh/cells", "/mesh/layer", "/fields/displacement")
+VTK_FIELDS = (  # dataset of the bundle, name and location in VTK
     ("/fields/displacement", "displacement", "PointData"),
     ("/fields/nodal_stress", "stress", "PointData"),
     ("/fields/cauchy_stress", "element_stress", "CellData"),
@@ -32,7 +32,7 @@ FIELDS = (  # dataset of the bundle, name and location in VTK
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """One file a bundle: `out` itself if it ends in SUFFIX, otherwise <name>.vtkhdf in it."""
     for bundle in bundles:
-        needs(bundle, NEEDED, "stress")
+        needs(bundle, NEEDED_VTK_DATASETS, "stress")
     made = [out] if out.suffix == SUFFIX else [out / f"{name}{SUFFIX}" for name in names(bundles)]
     for bundle, path in zip(bundles, made, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -49,7 +49,7 @@ def _fill(root: Any, bundle: Bundle) -> None:
     """The group VTKHDF: mesh, data of points and cells, and where in each of them a step begins."""
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
     count, corners = cells.shape
-    root.attrs["Version"] = np.array(VERSION, "<i8")
+    root.attrs["Version"] = np.array(VTKHDF_VERSION, "<i8")
     root.attrs["Type"] = np.bytes_("UnstructuredGrid")
     _put(root, "NumberOfPoints", np.array([len(points)]))
     _put(root, "NumberOfCells", np.array([count]))
@@ -72,11 +72,13 @@ def _fill(root: Any, bundle: Bundle) -> None:
     for where in ("PointData", "CellData"):
         root.create_group(where)
         steps.create_group(f"{where}Offsets")
-    for name, vtk_name, where in FIELDS:
+    for name, vtk_name, where in VTK_FIELDS:
         if name in bundle:
             frames = (bundle.frame(name, k) for k in range(bundle.frames))
             each = bundle.shapes[name][1]
-            _stack(root[where], vtk_name, (f[:, TENSOR] if f.shape[1] == 6 else f for f in frames), bundle.frames)
+            _stack(
+                root[where], vtk_name, (f[:, VTK_TENSOR_ORDER] if f.shape[1] == 6 else f for f in frames), bundle.frames
+            )
             _put(steps[f"{where}Offsets"], vtk_name, each * np.arange(bundle.frames))
     _put(root["CellData"], "layer", layer)
     _put(steps["CellDataOffsets"], "layer", still)

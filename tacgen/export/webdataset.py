@@ -21,14 +21,14 @@ from typing import Any
 from tacgen.base.errors import UserError
 from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import MODE, modes
+from tacgen.bundle.caption import EVENT_MODE_PATH, modes
 from tacgen.bundle.image_file import encoded
-from tacgen.bundle.schema import UNITS
+from tacgen.bundle.schema import UNIT_SYSTEM
 from tacgen.export import names
-from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, write_splits
+from tacgen.export.episodes import SINGLE_SENSOR, Episode, episodes, split_ranges, write_splits
 
 SHARD_BYTES = 1_000_000_000
-EVENTS = "/frames/events/"
+EVENTS_GROUP = "/frames/events/"
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
@@ -58,12 +58,12 @@ def samples(episode: Episode) -> Iterator[dict[str, Any]]:
     varied = json.loads(episode.first.attrs.get("values", "{}"))  # by their paths in the recipe
     known = {"scene": episode.name, "task": episode.task, "split": episode.split, "values": varied}
     for k in range(episode.frames):
-        about = {**known, "frame": k, "segment": episode.first.segments[k], "units": UNITS}
+        about = {**known, "frame": k, "segment": episode.first.segments[k], "units": UNIT_SYSTEM}
         each = {role: _labels(bundle, k) for role, bundle in episode.scenes.items()}
-        about |= each.get(ALONE, {"sensors": each})
+        about |= each.get(SINGLE_SENSOR, {"sensors": each})
         sample: dict[str, Any] = {"__key__": f"{episode.name}-{k:05d}", "json": about}
         for role, bundle in episode.scenes.items():
-            prefix = "" if role == ALONE else f"{role}."
+            prefix = "" if role == SINGLE_SENSOR else f"{role}."
             sample |= {f"{prefix}{name}": array for name, array in _arrays(bundle, k).items()}
         yield sample
 
@@ -71,16 +71,16 @@ def samples(episode: Episode) -> Iterator[dict[str, Any]]:
 def _labels(bundle: Bundle, k: int) -> dict[str, Any]:
     """The sensor of a scene, and its contact events in a frame if they are in the bundle."""
     about: dict[str, Any] = {"sensor": bundle.attrs["sensor"]}
-    if MODE in bundle:
-        paths = [path for path in bundle.shapes if path.startswith(EVENTS)]
-        events = {path.removeprefix(EVENTS): bundle.frame(path, k).tolist() for path in paths}
+    if EVENT_MODE_PATH in bundle:
+        paths = [path for path in bundle.shapes if path.startswith(EVENTS_GROUP)]
+        events = {path.removeprefix(EVENTS_GROUP): bundle.frame(path, k).tolist() for path in paths}
         about["events"] = events | {"mode": modes(bundle)[k]}
     return about
 
 
 def _arrays(bundle: Bundle, k: int) -> dict[str, Any]:
     """Every dataset of a frame by its name and the kind of its file."""
-    apart = ("/frames/quality/", EVENTS)
+    apart = ("/frames/quality/", EVENTS_GROUP)
     made = {}
     for path in bundle.shapes:
         if path.startswith("/frames/") and not path.startswith(apart):

@@ -22,12 +22,12 @@ from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS
-from tacgen.export.episodes import ALONE, Episode, common, episodes, state_and_action, write_splits
+from tacgen.export.episodes import SINGLE_SENSOR, Episode, common, episodes, state_and_action, write_splits
 
-FOLDER = "replay_buffer.zarr"
+ZARR_FOLDER = "replay_buffer.zarr"
 CHUNK_BYTES = 2_000_000  # as ReplayBuffer chooses
-APART = ("/frames/quality/", "/frames/pose")  # not keys: the pose is in `state`
-LEVEL = 5  # of Zstandard
+UNSTORED_PATHS = ("/frames/quality/", "/frames/pose")  # not keys: the pose is in `state`
+ZSTD_LEVEL = 5  # of Zstandard
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
@@ -38,12 +38,12 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         raise UserError("export zarr needs Zarr: pip install 'tacgen[zarr]'") from None
     every = episodes(bundles)
     ends = np.cumsum([episode.frames for episode in every])
-    root = zarr.open_group(out / FOLDER, mode="w", zarr_format=2)
+    root = zarr.open_group(out / ZARR_FOLDER, mode="w", zarr_format=2)
     meta, data = root.create_group("meta"), root.create_group("data")
     _array(meta, "episode_ends", ends.shape, "int64")[:] = ends
     _array(meta, "episode_split", ends.shape, "int64")[:] = [SPLITS.index(episode.split) for episode in every]
     kept = {
-        role: common([episode.scenes[role] for episode in every], lambda path: not path.startswith(APART))
+        role: common([episode.scenes[role] for episode in every], lambda path: not path.startswith(UNSTORED_PATHS))
         for role in every[0].scenes
     }
     arrays: dict[str, Any] = {}
@@ -53,7 +53,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
                 arrays[key] = _array(data, key, (int(ends[-1]), *values.shape[1:]), values.dtype)
                 arrays[key].attrs["units"] = units
             arrays[key][end - episode.frames : end] = values
-    return [write_splits(every, out), *sorted(path for path in (out / FOLDER).rglob("*") if path.is_file())]
+    return [write_splits(every, out), *sorted(path for path in (out / ZARR_FOLDER).rglob("*") if path.is_file())]
 
 
 def _values(episode: Episode, kept: dict[str, dict[str, Any]]) -> dict[str, tuple[np.ndarray, str]]:
@@ -64,7 +64,7 @@ def _values(episode: Episode, kept: dict[str, dict[str, Any]]) -> dict[str, tupl
     for role, bundle in episode.scenes.items():
         for path in kept[role]:
             name = "img" if path == "/frames/rgb" else path.removeprefix("/frames/").replace("/", "_")
-            key = name if role == ALONE else f"{name}_{role}"
+            key = name if role == SINGLE_SENSOR else f"{name}_{role}"
             out[key] = bundle[path][:n], entry(path).units
     return out
 
@@ -76,5 +76,5 @@ def _array(group: Any, name: str, shape: tuple[int, ...], dtype: Any) -> Any:
     frame = int(np.prod(shape[1:])) * np.dtype(dtype).itemsize
     chunks = (max(1, min(shape[0], -(-CHUNK_BYTES // frame))), *shape[1:])
     return group.create_array(
-        name, shape=shape, dtype=dtype, chunks=chunks, compressors=numcodecs.Zstd(level=LEVEL), fill_value=0
+        name, shape=shape, dtype=dtype, chunks=chunks, compressors=numcodecs.Zstd(level=ZSTD_LEVEL), fill_value=0
     )

@@ -17,20 +17,21 @@ HEX_CORNERS = np.array(
 )
 HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 QUAD_CORNERS = HEX_CORNERS[:4, :2]
-GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
+GAUSS_POINTS_2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
 # Gauss-Legendre points and weights on [-1, 1], by number of points
-GAUSS = {2: (GAUSS2, np.ones(2)), **{n: np.polynomial.legendre.leggauss(n) for n in (3, 4)}}
+GAUSS_RULES = {2: (GAUSS_POINTS_2, np.ones(2)), **{n: np.polynomial.legendre.leggauss(n) for n in (3, 4)}}
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
-TET4 = (5 - np.sqrt(5.0)) / 20  # the smaller barycentric coordinate of the 4-point rule of degree 2 for tets
+# the smaller barycentric coordinate of the 4-point rule of degree 2 for tets
+TET_POINT_COORDINATE = (5 - np.sqrt(5.0)) / 20
 # Elements.pointwise [-] by nodes; of quadratic tets inf was 2.7 % too stiff at nu 0.4995, 0 was 2.6 % too soft
-POINTWISE = {8: 0.0, 10: 25.0, 4: np.inf}
+MAX_POINTWISE_BULK_RATIO = {8: 0.0, 10: 25.0, 4: np.inf}
 # the smaller barycentric coordinate and the weight of each orbit of three points, by nodes of the triangle
-DUNAVANT = {
+DUNAVANT_RULES = {
     3: ((1 / 6, 1 / 3),),
     6: ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322)),
 }
-PIECES = {3: ([0, 1, 2],), 4: ([0, 1, 2], [0, 2, 3]), 6: ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])}
+FACET_TRIANGLES = {3: ([0, 1, 2],), 4: ([0, 1, 2], [0, 2, 3]), 6: ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])}
 
 
 @dataclass(frozen=True)
@@ -68,15 +69,21 @@ def elements(points: Array, conn: Array) -> Elements:
     """
     N, dN, parts = integration(nodes := conn.shape[1])
     gradients, volume = _mapped(points, conn, dN)
-    return Elements(conn.astype(np.int32), gradients, volume / parts, POINTWISE[nodes], N)
+    return Elements(conn.astype(np.int32), gradients, volume / parts, MAX_POINTWISE_BULK_RATIO[nodes], N)
 
 
 def integration(nodes: int) -> tuple[Array, Array, int]:
     """Integration points of elements of so many nodes: N (q, a), its derivatives (q, a, 3) in the reference element,
     and the number of equal parts into which these points divide a cube of side 1."""
     if nodes == 8:
-        return *trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2])), 1
-    L = np.full((1, 4), 0.25) if nodes == 4 else np.full((4, 4), TET4) + np.eye(4) * (1 - 4 * TET4)
+        return *trilinear(
+            np.array([[a, b, c] for c in GAUSS_POINTS_2 for b in GAUSS_POINTS_2 for a in GAUSS_POINTS_2])
+        ), 1
+    L = (
+        np.full((1, 4), 0.25)
+        if nodes == 4
+        else np.full((4, 4), TET_POINT_COORDINATE) + np.eye(4) * (1 - 4 * TET_POINT_COORDINATE)
+    )
     N, dL = barycentric(L, nodes)
     return N, dL[..., 1:] - dL[..., :1], 6 * len(L)
 
@@ -155,12 +162,12 @@ def facet_points(nodes: int, along: int = 2) -> tuple[Array, Array, Array]:
     Quads: `along` x `along` Gauss points. Triangles: 6 points of degree 4 or 3 of degree 2, Dunavant (1985).
     """
     if nodes == 4:
-        at, weight = GAUSS[along]
+        at, weight = GAUSS_RULES[along]
         g = np.array([[a, b] for b in at for a in at])
         f = 1 + QUAD_CORNERS[None] * g[:, None]
         dN = np.stack([QUAD_CORNERS[:, 0] * f[..., 1], f[..., 0] * QUAD_CORNERS[:, 1]], -1) / 4
         return f.prod(2) / 4, dN, np.outer(weight, weight).ravel()
-    rule = DUNAVANT[nodes]
+    rule = DUNAVANT_RULES[nodes]
     L = np.concatenate([np.full((3, 3), a) + np.eye(3) * (1 - 3 * a) for a, _ in rule])
     N, dL = barycentric(L, nodes)
     return N, dL[..., 1:] - dL[..., :1], np.repeat([w for _, w in rule], 3) / 2
@@ -235,4 +242,4 @@ def linear_pressure(N: Array, areas: Array) -> Array:
 
 def triangles(facets: Array) -> Array:
     """Flat triangles (t, 3) with which facets (f, a) are drawn."""
-    return np.concatenate([facets[:, corners] for corners in PIECES[facets.shape[1]]])
+    return np.concatenate([facets[:, corners] for corners in FACET_TRIANGLES[facets.shape[1]]])

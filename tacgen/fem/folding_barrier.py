@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from tacgen.physics.cells import Folds
 
 Array = np.ndarray
-STIFFNESS = 4.0  # over the shear modulus [-]: at 1 hexes still invert between points, at 10 Newton steps are short
-J0 = 0.6  # J below which the barrier acts; without inversion J stays near 1 in a nearly incompressible gel [-]
+# over the shear modulus [-]: at 1 hexes still invert between points, at 10 Newton steps are short
+INVERSION_BARRIER_STIFFNESS = 4.0
+# J below which the barrier acts; without inversion J stays near 1 in a nearly incompressible gel [-]
+INVERSION_BARRIER_J0 = 0.6
 
 
 @dataclass(frozen=True)
@@ -56,14 +58,16 @@ class FoldingBarrier:
 
     conn: Array
     slots: Array
-    stiffness: float  # STIFFNESS times the shear modulus [MPa]
+    stiffness: float  # INVERSION_BARRIER_STIFFNESS times the shear modulus [MPa]
     rest: Array
     volume: Array
 
     @classmethod
     def on(cls, pattern: Pattern, points: Array, elements: Elements, mu: float) -> "FoldingBarrier":
         rest = np.linalg.det(jacobians(points, elements.conn, grid_points(elements.conn.shape[1])[1]))
-        return cls(elements.conn, pattern.slots(elements.conn), STIFFNESS * mu, rest, elements.weights.sum(1))
+        return cls(
+            elements.conn, pattern.slots(elements.conn), INVERSION_BARRIER_STIFFNESS * mu, rest, elements.weights.sum(1)
+        )
 
     def stiffened(self, times: float) -> "FoldingBarrier":
         """This barrier with `times` its stiffness."""
@@ -77,7 +81,7 @@ class FoldingBarrier:
         return Folds(self.conn, dN, self.rest, self.stiffness * self.volume / len(dN))
 
     def evaluate(self, x: Array) -> FoldingPoint:
-        below = np.flatnonzero(self.folds.lowest(x) < J0)
+        below = np.flatnonzero(self.folds.lowest(x) < INVERSION_BARRIER_J0)
         return FoldingPoint(self, x, below, self.folds.energy(x, below) if below.size else 0.0)
 
     def value(self, x: Array) -> float:

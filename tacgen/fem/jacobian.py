@@ -14,12 +14,13 @@ from tacgen.base.compiled import njit
 from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
 
 Array = np.ndarray
-DEPTH = 6  # most subdivisions; each reduces the gap between coefficients and values about four times
-MOST = 20_000  # most pieces that are subdivided at once (35 MB); if all elements fold there would be millions
+MAX_SUBDIVISIONS = 6  # most subdivisions; each reduces the gap between coefficients and values about four times
+# most pieces that are subdivided at once (35 MB); if all elements fold there would be millions
+MAX_SUBDIVIDED_PIECES = 20_000
 # coefficients of a quadratic polynomial on each half of an edge from those on the whole edge, by de Casteljau
-HALVES = np.array([[[4, 0, 0], [2, 2, 0], [1, 2, 1]], [[1, 2, 1], [0, 2, 2], [0, 0, 4]]]) / 4
+EDGE_HALVING = np.array([[[4, 0, 0], [2, 2, 0], [1, 2, 1]], [[1, 2, 1], [0, 2, 2], [0, 0, 4]]]) / 4
 # the eight pieces of a tet by its nodes, in Bey's order (1995), which keeps the shapes of repeated pieces bounded
-EIGHTHS = np.array(
+TET_EIGHTHS = np.array(
     [(0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3), (4, 6, 7, 8), (4, 6, 5, 8), (6, 7, 8, 9), (6, 5, 8, 9)]
 )
 
@@ -55,7 +56,7 @@ def _hexes() -> Bernstein:
         above = np.delete(HEX_CORNERS > 0, k, 1)
         columns[k, above @ (2, 1), np.arange(8)] = HEX_CORNERS[:, k]
         powers[k] = np.insert(list(product((0, 1), repeat=2)), k, 0, axis=1)
-    pieces = [np.kron(a, np.kron(b, c)) for a, b, c in product(HALVES, repeat=3)]
+    pieces = [np.kron(a, np.kron(b, c)) for a, b, c in product(EDGE_HALVING, repeat=3)]
     return Bernstein(*_table(columns, powers), np.array(pieces))
 
 
@@ -64,9 +65,9 @@ def _tets() -> Bernstein:
     corners = np.eye(4)
     _, dL = barycentric(corners, 10)
     columns, monomial, share = _table((dL[..., 1:] - dL[..., :1]).transpose(2, 0, 1), np.array([corners] * 3))
-    pieces = np.zeros((len(EIGHTHS), len(share), len(share)))
+    pieces = np.zeros((len(TET_EIGHTHS), len(share), len(share)))
     nodes = np.concatenate([corners, corners[TET_EDGES].mean(1)])
-    for piece, ends in zip(pieces, nodes[EIGHTHS], strict=True):
+    for piece, ends in zip(pieces, nodes[TET_EIGHTHS], strict=True):
         for triple in np.ndindex(4, 4, 4):  # the blossom at three corners of the piece; it is symmetric
             a, b, c = ends[list(triple)]
             weights = a[:, None, None] * b[:, None] * c
@@ -80,7 +81,7 @@ def _linear() -> Bernstein:
     return Bernstein(*_table((dL[:, 1:] - dL[:, :1]).T[:, None], np.zeros((3, 1, 1))), np.ones((1, 1, 1)))
 
 
-TABLES = {8: _hexes(), 10: _tets(), 4: _linear()}  # by the number of nodes
+JACOBIAN_TABLES = {8: _hexes(), 10: _tets(), 4: _linear()}  # by the number of nodes
 
 
 @njit(cache=True)
@@ -115,13 +116,13 @@ def least_jacobian(rest: Array, points: Array, cells: Array, tol: float = 0.01) 
 
     rest, points (n, 3) [mm]: positions of the nodes at rest and now; cells (e, 8, 10 or 4): trilinear hexes, quadratic
     or linear tets. J is det(dx/dxi) over the element's mean det(dX/dxi); for an element that is affine at rest it is
-    the Jacobian of the deformation. The bound holds up to rounding, and is at most `tol` below the least J unless DEPTH
-    or MOST is reached; -inf if points are not finite.
+    the Jacobian of the deformation. The bound holds up to rounding, and is at most `tol` below the least J unless
+    MAX_SUBDIVISIONS or MAX_SUBDIVIDED_PIECES is reached; -inf if points are not finite.
 
     Raises:
         ValueError: an element has no volume at rest.
     """
-    table = TABLES[cells.shape[1]]
+    table = JACOBIAN_TABLES[cells.shape[1]]
     arguments = cells, table.columns, table.monomial, table.share
     volume = coefficients(rest, *arguments).mean(1)  # each Bernstein polynomial has the same integral
     if not (volume > 0).all():
@@ -130,12 +131,12 @@ def least_jacobian(rest: Array, points: Array, cells: Array, tol: float = 0.01) 
     if not np.isfinite(pieces).all():
         return -np.inf
     corners, bound, attained = table.share == 1, np.inf, np.inf
-    for depth in range(DEPTH + 1):
+    for depth in range(MAX_SUBDIVISIONS + 1):
         attained = min(attained, pieces[:, corners].min(initial=np.inf))
         low = pieces.min(1)
         undecided = low < attained - tol
         bound = min(bound, low[~undecided].min(initial=np.inf))
-        if depth == DEPTH or undecided.sum() > MOST or not undecided.any():
+        if depth == MAX_SUBDIVISIONS or undecided.sum() > MAX_SUBDIVIDED_PIECES or not undecided.any():
             break
         pieces = (pieces[undecided] @ table.pieces.reshape(-1, len(corners)).T).reshape(-1, len(corners))
     return float(min(bound, low.min(initial=np.inf)))

@@ -123,7 +123,7 @@ class Stiffened:
 
 
 # An example of each law, all with mu = 0.05 MPa and kappa = 0.4 MPa at rest, for tests.
-EXAMPLES: dict[str, Law] = {
+EXAMPLE_LAWS: dict[str, Law] = {
     "neo_hooke": NeoHooke(0.05, 0.4),
     "mooney_rivlin": MooneyRivlin(0.015, 0.01, 0.4),
     "yeoh": Yeoh(0.025, -0.002, 0.0005, 0.4),

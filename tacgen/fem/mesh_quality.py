@@ -8,9 +8,12 @@ from tacgen.fem.elements import TET_EDGES, grid_points, integration, jacobians
 
 Array = np.ndarray
 # the three neighbours of each corner along edges, right-handed
-HEX_ENDS = np.array([(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)])
-TET_ENDS = np.array([(1, 2, 3), (2, 0, 3), (0, 1, 3), (1, 0, 2)])
-OPPOSITE = np.array([(2, 3), (0, 3), (1, 3), (1, 2), (2, 0), (0, 1)])  # the two corners not on each of TET_EDGES
+HEX_CORNER_NEIGHBOURS = np.array(
+    [(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)]
+)
+TET_CORNER_NEIGHBOURS = np.array([(1, 2, 3), (2, 0, 3), (0, 1, 3), (1, 0, 2)])
+# the two corners not on each of TET_EDGES
+TET_OPPOSITE_CORNERS = np.array([(2, 3), (0, 3), (1, 3), (1, 2), (2, 0), (0, 1)])
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ def dihedral(points: Array, tets: Array) -> Array:
     x = points[tets[:, :4]]
     a, b = x[:, TET_EDGES[:, 0]], x[:, TET_EDGES[:, 1]]
     along = (b - a) / np.maximum(np.linalg.norm(b - a, axis=-1, keepdims=True), 1e-300)
-    c, d = (x[:, OPPOSITE[:, k]] - a for k in (0, 1))
+    c, d = (x[:, TET_OPPOSITE_CORNERS[:, k]] - a for k in (0, 1))
     c, d = (v - (v * along).sum(-1, keepdims=True) * along for v in (c, d))
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(c, d), axis=-1), (c * d).sum(-1)))
 
@@ -44,7 +47,7 @@ def scaled_jacobian(points: Array, cells: Array) -> Array:
 
     For a quadratic tet the volume is that of its curved map at the worst node: 0 where an edge node inverts it.
     """
-    ends = HEX_ENDS if cells.shape[1] == 8 else TET_ENDS
+    ends = HEX_CORNER_NEIGHBOURS if cells.shape[1] == 8 else TET_CORNER_NEIGHBOURS
     x = np.ascontiguousarray(np.moveaxis(points[cells[:, : len(ends)]], 0, -1))  # cells last: the longest loop
     sides = [x[ends[:, k]] - x for k in range(3)]  # each (corners, 3, e)
     length = np.maximum(np.prod([np.sqrt((side**2).sum(1)) for side in sides], axis=0), 1e-300)

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Array = np.ndarray
-FLAT = 0.1  # spread of a patch's centres over half its extent, below which a direction is undetermined [-]
-VERTICES = {8: 8, 4: 4, 10: 4}  # vertices of an element, by its number of nodes
-FULL = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # index of each tensor entry in xx yy zz yz xz xy
+MIN_PATCH_SPREAD = 0.1  # spread of a patch's centres over half its extent, below which a direction is undetermined [-]
+VERTEX_COUNTS = {8: 8, 4: 4, 10: 4}  # vertices of an element, by its number of nodes
+VOIGT_INDEX = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # index of each tensor entry in xx yy zz yz xz xy
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Recovery:
         """On a mesh of points (n, 3) and cells (e, a), hexes or tetrahedra, each of one material (e,)."""
         from scipy.sparse import csr_array, vstack
 
-        vertices = cells[:, : VERTICES[cells.shape[1]]]
+        vertices = cells[:, : VERTEX_COUNTS[cells.shape[1]]]
         centres, (e, v) = points[vertices].mean(1), vertices.shape
         nodes: list[Array] = []
         materials, blocks, rows, count = [], [], np.zeros((e, v), int), 0
@@ -69,7 +69,7 @@ def _weights(points: Array, cells: Array, centres: Array) -> "csr_array":
     """Weights (n, e) of the element values in the nodal values, for one material."""
     from scipy.sparse import csr_array
 
-    n, corners = len(points), cells[:, : VERTICES[cells.shape[1]]]
+    n, corners = len(points), cells[:, : VERTEX_COUNTS[cells.shape[1]]]
     rows = np.repeat(np.arange(len(cells)), corners.shape[1])
     around = csr_array((np.ones(len(rows)), (corners.ravel(), rows)), shape=(n, len(cells)))
     fits, ranks = _fits(points, corners, centres, around)
@@ -105,7 +105,7 @@ def _fits(points: Array, corners: Array, centres: Array, around: "csr_array") ->
         half = (high[patch].max(1) - low[patch].min(1)) / 2
         x = (centres[patch] - middle[which][:, None]) / half[:, None]
         u, s, vt = np.linalg.svd(x, full_matrices=False)  # x is orthogonal to the constant
-        clear = s > FLAT * np.sqrt(k)
+        clear = s > MIN_PATCH_SPREAD * np.sqrt(k)
         inverse = np.einsum("gik,gi,gji->gjk", vt, np.where(clear, 1 / np.where(clear, s, 1.0), 0.0), u)
         columns[entry] = np.concatenate([np.full((*entry.shape, 1), 1 / k), inverse / half[:, None]], -1)
         ranks[which] = 1 + clear.sum(1)

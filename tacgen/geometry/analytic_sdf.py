@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from tacgen.geometry.convex_edges import Convex
 
 Array = np.ndarray
-DOWN = np.array([0.0, 0.0, -1.0])
-MAX_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
+DOWNWARD = np.array([0.0, 0.0, -1.0])
+MAX_SDF_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
 
 
 class Shape(Protocol):
@@ -60,7 +60,7 @@ class Core(NamedTuple):
     closest: Array
     jacobian: Callable[[], Array]
     depth: Array | float = 0.0
-    out: Callable[[], Array] = lambda: DOWN
+    out: Callable[[], Array] = lambda: DOWNWARD
 
 
 def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
@@ -256,7 +256,7 @@ class CylinderSdf(Grown):
             return jac
 
         by = [p[:, 2] - low, rim - rho]
-        return Core(c, jacobian, _depth(by), lambda: _nearest(by, [np.broadcast_to(DOWN, p.shape), radial]))
+        return Core(c, jacobian, _depth(by), lambda: _nearest(by, [np.broadcast_to(DOWNWARD, p.shape), radial]))
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,9 @@ class BoxSdf(Grown):
 
         def out() -> Array:
             sign = np.where(p[:, :2] >= 0, 1.0, -1.0)
-            return _nearest(by, [np.broadcast_to(DOWN, p.shape), *(np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))])
+            return _nearest(
+                by, [np.broadcast_to(DOWNWARD, p.shape), *(np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))]
+            )
 
         return Core(c, lambda: _diagonal((c == p).astype(float)), _depth(by), out)
 
@@ -329,7 +331,7 @@ class ConeSdf(Grown):
             return np.asarray(side * (_outer(generator) + _outer(azimuth) * turning))
 
         def out() -> Array:
-            return np.where(side[:, :, 0], radial * c - np.array([0.0, 0.0, s]), DOWN)
+            return np.where(side[:, :, 0], radial * c - np.array([0.0, 0.0, s]), DOWNWARD)
 
         return Core(closest, jacobian, np.where(inside, -outward, 0.0), out)
 

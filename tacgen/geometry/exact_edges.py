@@ -17,14 +17,15 @@ from tacgen.geometry.sdf_grid import Field
 from tacgen.geometry.triangle_distance import correct, listed
 
 Array = np.ndarray
-OFF = 0.05  # error of the spline over the cell, above which edges are computed exactly [-]
-NEAR = 2.0  # distance from the surface within which that error matters, over the cell [-]
-BLEND = 2  # nodes by which the exact region is wider: there both distances agree, and one passes into the other
-LONGEST = 8.0  # longest mitre over the radius [-]: of an edge of 14 deg
-FLAT = 1e-3  # square of the sine of an angle of faces, below which they are one flat face [-]
-SLIVER = 1e-4  # altitude of a triangle [mm] below which its normal is rounding error, and its neighbours' is taken
-CELLS = np.sqrt(3) / 2  # half the diagonal of a cell over its side
-KEPT = 4  # answers that are kept: of two positions, at the condensed facets and at all
+MAX_SPLINE_ERROR = 0.05  # error of the spline over the cell, above which edges are computed exactly [-]
+EXACT_BAND_CELLS = 2.0  # distance from the surface within which that error matters, over the cell [-]
+BLEND_NODES = 2  # nodes by which the exact region is wider: there both distances agree, and one passes into the other
+MAX_MITRE = 8.0  # longest mitre over the radius [-]: of an edge of 14 deg
+MAX_FLAT_SINE_SQUARED = 1e-3  # square of the sine of an angle of faces, below which they are one flat face [-]
+# altitude of a triangle [mm] below which its normal is rounding error, and its neighbours' is taken
+MIN_ALTITUDE_MM = 1e-4
+HALF_DIAGONAL = np.sqrt(3) / 2  # half the diagonal of a cell over its side
+CACHED_QUERIES = 4  # answers that are kept: of two positions, at the condensed facets and at all
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,7 +57,7 @@ class SharpField(Field):
         p, latest = np.ascontiguousarray(p, float), self._latest
         key = p.tobytes()
         answer = latest.pop(key) if key in latest else self._distance(p)
-        if len(latest) == KEPT:
+        if len(latest) == CACHED_QUERIES:
             del latest[next(iter(latest))]
         latest[key] = answer
         return answer
@@ -79,17 +80,21 @@ def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tu
     at_nodes, origin, cell = field.coefficients, field.origin, field.cell
     for axis in range(3):
         at_nodes = ndimage.correlate1d(at_nodes, np.array([1.0, 4.0, 1.0]) / 6, axis=axis, mode="nearest")
-    recedes = (at_nodes - distances > OFF * cell) & (np.abs(distances) < NEAR * cell) & _inner(distances.shape, 2)
+    recedes = (
+        (at_nodes - distances > MAX_SPLINE_ERROR * cell)
+        & (np.abs(distances) < EXACT_BAND_CELLS * cell)
+        & _inner(distances.shape, 2)
+    )
     if not recedes.any():
         none = np.zeros(0, np.int32)
         return np.zeros((0, 0, 0), np.float32), none, none, none, none, np.zeros((0, 10, 3))
-    share = ndimage.binary_dilation(recedes, np.ones((3, 3, 3)), iterations=BLEND)
+    share = ndimage.binary_dilation(recedes, np.ones((3, 3, 3)), iterations=BLEND_NODES)
     stencil = ndimage.maximum_filter(share, size=4, origin=-1)  # nodes -1 to 2 of the cell that begins at each node
     cells = np.argwhere(stencil & _inner(share.shape, 1))
     core = _eroded(solid.vertices, solid.triangles, radius)
     table = np.concatenate([core[solid.triangles], _normals(solid.vertices, solid.triangles)], 1)
     far = _farthest(core, solid, origin + (cells + 0.5) * cell)
-    reach = far + 2 * CELLS * cell  # what is closest to a point of the cell is no farther from its middle
+    reach = far + 2 * HALF_DIAGONAL * cell  # what is closest to a point of the cell is no farther from its middle
     first = np.full(share.shape, -1, np.int32)
     first[tuple(cells.T)] = np.arange(len(cells))
     asked = table, first, origin, cell, reach
@@ -146,11 +151,12 @@ def _eroded(vertices: Array, triangles: Array, radius: float) -> Array:
         np.add.at(A, triangles[:, k], weighted[:, :, None] * normal[:, None])
         np.add.at(b, triangles[:, k], -radius * weighted)
     size, axes = np.linalg.eigh(A)
-    known = size > FLAT * size[:, -1:]  # across a flat face alone, across an edge two, at a tip all three
+    # across a flat face alone, across an edge two, at a tip all three
+    known = size > MAX_FLAT_SINE_SQUARED * size[:, -1:]
     part = np.where(known, np.einsum("nij,ni->nj", axes, b) / np.where(known, size, 1.0), 0.0)
     step = np.einsum("nij,nj->ni", axes, part)
     length = np.linalg.norm(step, axis=1)
-    return np.asarray(vertices + step * np.minimum(1.0, LONGEST * radius / np.maximum(length, 1e-12))[:, None])
+    return np.asarray(vertices + step * np.minimum(1.0, MAX_MITRE * radius / np.maximum(length, 1e-12))[:, None])
 
 
 def _corners(vertices: Array, triangles: Array) -> tuple[Array, Array, Array]:
@@ -160,7 +166,7 @@ def _corners(vertices: Array, triangles: Array) -> tuple[Array, Array, Array]:
     length = np.linalg.norm(side, axis=2)
     cross = np.cross(side[:, 0], side[:, 1])
     twice = np.linalg.norm(cross, axis=1)
-    sound = twice > SLIVER * length.max(1)
+    sound = twice > MIN_ALTITUDE_MM * length.max(1)
     unit = side / np.maximum(length, 1e-300)[..., None]
     angle = np.arccos(np.clip(-(unit * np.roll(unit, 1, 1)).sum(2), -1, 1)) * sound[:, None]
     return cross / np.maximum(twice, 1e-300)[:, None], angle, sound

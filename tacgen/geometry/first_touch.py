@@ -12,13 +12,14 @@ if TYPE_CHECKING:
     from tacgen.geometry.gel import GelBody
 
 Array = np.ndarray
-STEPS = (0.2, 0.01, 0.0005)  # of grids on the face [mm]: the first on all of it, each next one around the point found
-APPROACH = (0.5, 0.025, 0.00125)  # the same where distances alone are looked at
-LOWERED = 200  # most steps in which a shape is lowered onto a grid
-TOUCH = 1e-6  # distance at which it counts as touching [mm]
-PASSED = 1e-3  # distance at the end of all steps above which it passes the gel by [mm]
-ON_PLANE = 1e-5  # height above the lowest point within the grids' error, which counts as 0 [mm]
-SAG = 1e-3  # of the sides of the polygon that stands for a round outline [mm]
+# of grids on the face [mm]: the first on all of it, each next one around the point found
+TOUCH_GRIDS_MM = (0.2, 0.01, 0.0005)
+APPROACH_GRIDS_MM = (0.5, 0.025, 0.00125)  # the same where distances alone are looked at
+MAX_LOWERINGS = 200  # most steps in which a shape is lowered onto a grid
+TOUCH_TOL_MM = 1e-6  # distance at which it counts as touching [mm]
+MISS_DISTANCE_MM = 1e-3  # distance at the end of all steps above which it passes the gel by [mm]
+MAX_GRID_ERROR_MM = 1e-5  # height above the lowest point within the grids' error, which counts as 0 [mm]
+OUTLINE_SAG_MM = 1e-3  # of the sides of the polygon that stands for a round outline [mm]
 
 
 def contact_height(shape: Shape, gel: "GelBody | Pad", pose: Array) -> float:
@@ -38,7 +39,7 @@ def lowest_over(shape: Shape, gel: "GelBody | Pad", pose: Array) -> float:
 def closest(shape: Shape, gel: "GelBody", poses: Array) -> float:
     """Smallest distance [mm] of an indenter at the poses (N, 4, 4) from the untouched face; 0 or less if it touches."""
     middle, half = np.zeros(2), np.array([gel.width, gel.height]) / 2
-    for step in APPROACH:
+    for step in APPROACH_GRIDS_MM:
         face = face_near(gel, middle, half, step)
         gap = [shape.value(Pose.of(pose).local(face)) for pose in poses]
         nearest = int(np.argmin([distance.min() for distance in gap]))
@@ -67,22 +68,22 @@ def _sink_depth(shape: Shape, pose: Array, gel: "GelBody | Pad") -> float:
     Over a flat face it is 0 exactly where the shape's lowest point touches it.
     """
     if not gel.flat:
-        return _lowered(shape, pose, gel, STEPS[:2])
+        return _lowered(shape, pose, gel, TOUCH_GRIDS_MM[:2])
     surface: tuple[Array, Array] | None = getattr(shape, "surface", None)  # of a mesh, see sdf_grid.Field
     if surface is not None:
         sunk = least_over(*surface, gel, pose)
     elif _rests_on(shape, pose, gel):
         return 0.0
     else:
-        sunk = _lowered(shape, pose, gel, STEPS)
-    return 0.0 if sunk < ON_PLANE else sunk
+        sunk = _lowered(shape, pose, gel, TOUCH_GRIDS_MM)
+    return 0.0 if sunk < MAX_GRID_ERROR_MM else sunk
 
 
 def _rests_on(shape: Shape, pose: Array, gel: "GelBody | Pad") -> bool:
     """Whether the middle of what a shape stands on at z = 0 is of the shape, and over the gel."""
     with np.errstate(invalid="ignore"):  # a shape without end, that is tilted as far as it may be
         under = (pose[:3, 3] + lowest(shape.support, pose[:3, :3])) * [1.0, 1.0, 0.0]
-    return bool(gel.contains(*under[:2]) and abs(shape.value(Pose.of(pose).local(under[None]))[0]) < TOUCH)
+    return bool(gel.contains(*under[:2]) and abs(shape.value(Pose.of(pose).local(under[None]))[0]) < TOUCH_TOL_MM)
 
 
 def _lowered(shape: Shape, pose: Array, gel: "GelBody | Pad", steps: tuple[float, ...]) -> float:
@@ -93,15 +94,15 @@ def _lowered(shape: Shape, pose: Array, gel: "GelBody | Pad", steps: tuple[float
     lowered, sunk, gap = pose.copy(), 0.0, np.zeros(1)
     for step in steps:
         face = face_near(gel, middle, half, step)
-        for _ in range(LOWERED):
+        for _ in range(MAX_LOWERINGS):
             lowered[2, 3] = pose[2, 3] - sunk
             gap = shape.value(Pose.of(lowered).local(face))
             nearest = int(np.argmin(gap))
             sunk += float(gap[nearest])  # on the finer grid this may be slightly negative
-            if abs(gap[nearest]) < TOUCH or sunk > most:
+            if abs(gap[nearest]) < TOUCH_TOL_MM or sunk > most:
                 break
         middle, half = face[nearest, :2], np.array([step, step])
-    return np.inf if gap.min() > PASSED or sunk > most else sunk
+    return np.inf if gap.min() > MISS_DISTANCE_MM or sunk > most else sunk
 
 
 def least_over(vertices: Array, triangles: Array, pad: Pad, pose: Array) -> float:
@@ -111,9 +112,9 @@ def least_over(vertices: Array, triangles: Array, pad: Pad, pose: Array) -> floa
     """
     x = vertices @ pose[:3, :3].T + pose[:3, 3]
     least = float(x[pad.contains(*x[:, :2].T), 2].min(initial=np.inf))
-    if least < pose[2, 3] + ON_PLANE:
+    if least < pose[2, 3] + MAX_GRID_ERROR_MM:
         return least
-    rim = pad.outline(SAG)
+    rim = pad.outline(OUTLINE_SAG_MM)
     a = x[triangles]
     over = (a[..., :2].max(1) >= rim.min(0)) & (a[..., :2].min(1) <= rim.max(0))
     lower = a[(a[..., 2].min(1) < least) & over.all(1)]

@@ -11,15 +11,17 @@ from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.outline import Pad
 
 Array = np.ndarray
-SHEET_STEP = 0.024  # grid spacing of the interfaces between a solid's layers, over the longer side [-]
-FACE_PIXEL = 0.004  # grid spacing on which overhangs of a solid's face are detected, over the longer side [-]
-SEAM = 0.02  # parts of a solid's back belong together if one begins so little above the highest point of another [mm]
-MIN_BONDED = 0.5  # bonded part of a solid's footprint [-]; a gel that is held by less is askew on its plate, or loose
-LOOSE = (
+SHEET_SPACING_RATIO = 0.024  # grid spacing of the interfaces between a solid's layers, over the longer side [-]
+FACE_PIXEL_RATIO = 0.004  # grid spacing on which overhangs of a solid's face are detected, over the longer side [-]
+# parts of a solid's back belong together if one begins so little above the highest point of another [mm]
+BACK_SEAM_MM = 0.02
+# bonded part of a solid's footprint [-]; a gel that is held by less is askew on its plate, or loose
+MIN_BONDED_SHARE = 0.5
+LOOSE_GEL_MESSAGE = (
     "{:.2g} of its footprint would be bonded to the plate, and at least half must be: does it lie askew, or is its back"
     " steep or in pieces? Say gel.solid.bonded_deg, or bonded_mm"
 )
-NOISE = np.radians(10)  # of the normals of a mesh's facets [rad]
+FACET_NORMAL_TOL = np.radians(10)  # of the normals of a mesh's facets [rad]
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class SolidGel(GelBody):
         if not len(t):
             angle = f"gel.solid.coated_deg, {np.degrees(self.coated):g}"
             raise UserError(f"{name}: no part of it faces up to within {angle}")
-        pixel = FACE_PIXEL * self.side
+        pixel = FACE_PIXEL_RATIO * self.side
         screen, shape = (v[:, :2] - v[:, :2].min(0)) / pixel, np.ceil(np.ptp(v[:, :2], axis=0) / pixel).astype(int)
         faces, size = t.astype(np.uint32), (int(shape[1]), int(shape[0]))
         from tacgen.geometry.rasterize import nearest  # compiled: gels that are pads do not need it
@@ -193,7 +195,7 @@ class SolidGel(GelBody):
     def sheets(self) -> list[tuple[Array, Array]]:
         """Vertices and triangles of the interfaces between layers, from the base up, on a grid wider than the gel."""
         assert self.solid is not None
-        flat, step = self.solid.vertices[:, :2], SHEET_STEP * self.side
+        flat, step = self.solid.vertices[:, :2], SHEET_SPACING_RATIO * self.side
         ends = zip(flat.min(0) - 2 * step, flat.max(0) + 2 * step, strict=True)
         x, y = (np.linspace(a, b, int(np.ceil((b - a) / step)) + 1) for a, b in ends)
         xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
@@ -216,7 +218,7 @@ class SolidGel(GelBody):
             return np.asarray(np.linalg.norm(mesh_import.nearest(*face, centres) - centres, axis=1) < reach)
 
         if self.held is None:
-            held = (-normals[:, 2] > np.cos(min(self.bonded + NOISE, np.pi / 2))) & near(self.back)
+            held = (-normals[:, 2] > np.cos(min(self.bonded + FACET_NORMAL_TOL, np.pi / 2))) & near(self.back)
         else:
             held = np.all(corners[..., 2] < self.held + reach - self.thickness, axis=1)
         return {"bonded": held, "coated": (normals[:, 2] > np.cos(self.coated)) & ~held & near(self.face)}
@@ -240,7 +242,7 @@ def bonded(vertices: Array, triangles: Array, angle: float, held: float | None) 
     np.maximum.at(highest, part, z[down].max(1))
     upward = np.argsort(lowest, kind="stable")
     reached = np.maximum.accumulate(highest[upward])
-    step = lowest[upward][1:] > reached[:-1] + SEAM
+    step = lowest[upward][1:] > reached[:-1] + BACK_SEAM_MM
     ours = upward[: 1 + int(step.argmax())] if step.any() else upward
     mask = np.zeros(len(triangles), bool)
     mask[down] = np.isin(part, ours)
@@ -252,8 +254,8 @@ def held_by(solid: mesh_file.SolidMesh, angle: float, held: float | None) -> tup
     v, t = solid.vertices, solid.triangles
     ours = bonded(v, t, angle, held)
     share, bodies = bonded_share(v, t, t[ours]), np.unique(solid.body)
-    if share < MIN_BONDED:
-        return share, LOOSE.format(share)
+    if share < MIN_BONDED_SHARE:
+        return share, LOOSE_GEL_MESSAGE.format(share)
     theirs = np.isin(solid.body, solid.body[ours])
     first = np.array([v[t[solid.body == body][0, 0]] for body in np.setdiff1d(bodies, solid.body[ours])])
     if len(first) and (loose := int((~mesh_import.inside(v, t[theirs], first)).sum())):

@@ -18,14 +18,15 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = np.ndarray
-MAX_FILE = 256 * 2**20  # largest mesh file [bytes]
-MAX_HEAD = 100_000  # largest header of a PLY file [bytes]
+MAX_MESH_FILE_BYTES = 256 * 2**20  # largest mesh file [bytes]
+MAX_PLY_HEADER_BYTES = 100_000  # largest header of a PLY file [bytes]
 MAX_TRIANGLES = 2_000_000
-MIN_SIZE, MAX_SIZE = 1e-9, 1e9  # longest side of a body, in units of its file
-MIN_THICKNESS = 1e-6  # volume of a body over its surface's area and the mesh's size; single precision keeps 1e-7 [-]
-MAX_CRACK = 1e-4  # largest width of a crack that is closed, over the diagonal of the bounding box [-]
-MAX_HOLE = 40  # most edges around a hole that is closed
-MAX_NEW_AREA = 0.02  # largest relative change of the surface's area by repair [-]
+MIN_BODY_SIZE, MAX_BODY_SIZE = 1e-9, 1e9  # longest side of a body, in units of its file
+# volume of a body over its surface's area and the mesh's size; single precision keeps 1e-7 [-]
+MIN_THICKNESS_RATIO = 1e-6
+MAX_CRACK_RATIO = 1e-4  # largest width of a crack that is closed, over the diagonal of the bounding box [-]
+MAX_HOLE_EDGES = 40  # most edges around a hole that is closed
+MAX_REPAIR_AREA_CHANGE = 0.02  # largest relative change of the surface's area by repair [-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ def read(path: Path) -> SolidMesh:
         raise UserError(f"{path}: holds vertices that are not numbers")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise UserError(f"{path}: has triangles between vertices that are not there")
-    if not MIN_SIZE < (size := mesh.extents.max()) < MAX_SIZE:
+    if not MIN_BODY_SIZE < (size := mesh.extents.max()) < MAX_BODY_SIZE:
         raise UserError(f"{path}: is {size:.3g} of its units long: no body is")
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     v, faces = np.asarray(mesh.vertices, float), _without_points(np.asarray(mesh.faces, np.int64))
@@ -72,10 +73,10 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
     import trimesh
 
     try:
-        content = regular_file.read_bytes(path, MAX_FILE)
+        content = regular_file.read_bytes(path, MAX_MESH_FILE_BYTES)
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {why(error)}") from None
-    for name, count in re.findall(rb"^element (\w+) (\d+)", content[:MAX_HEAD], re.MULTILINE):
+    for name, count in re.findall(rb"^element (\w+) (\d+)", content[:MAX_PLY_HEADER_BYTES], re.MULTILINE):
         if len(count) > 9 or int(count) > len(content):
             raise UserError(f"{path}: is cut short: its head says more of {name.decode()} than there is")
     try:
@@ -106,11 +107,11 @@ def _repairs(vertices: Array, faces: Array) -> Iterator[tuple[Array, Array]]:
     faces = _united(faces)
     yield vertices, faces
     area, holes_closed = _areas(vertices, faces).sum(), _filled(vertices, faces)
-    if _areas(*holes_closed).sum() >= (1 - MAX_NEW_AREA) * area:
+    if _areas(*holes_closed).sum() >= (1 - MAX_REPAIR_AREA_CHANGE) * area:
         yield holes_closed
     welded = _welded(vertices, faces)
     for repaired in chain([_filled(vertices, welded)], _mended(vertices, welded)):
-        if abs(_areas(*repaired).sum() - area) <= MAX_NEW_AREA * area:
+        if abs(_areas(*repaired).sum() - area) <= MAX_REPAIR_AREA_CHANGE * area:
             yield repaired
 
 
@@ -148,10 +149,10 @@ def _filled(vertices: Array, faces: Array) -> tuple[Array, Array]:
 
 
 def _welded(vertices: Array, faces: Array) -> Array:
-    """The faces after merging vertices closer than MAX_CRACK; MeshLab's own filter misses many."""
+    """The faces after merging vertices closer than MAX_CRACK_RATIO; MeshLab's own filter misses many."""
     from scipy.spatial import cKDTree
 
-    reach = MAX_CRACK * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    reach = MAX_CRACK_RATIO * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     i, j = cKDTree(vertices).query_pairs(reach, output_type="ndarray").T
     group = _connected(i, j, len(vertices))
     _, first = np.unique(group, return_index=True)
@@ -173,7 +174,7 @@ def _mended(vertices: Array, faces: Array) -> Iterator[tuple[Array, Array]]:
         work.meshing_remove_duplicate_faces()
         work.meshing_repair_non_manifold_edges(method="Remove Faces")
         work.meshing_repair_non_manifold_vertices()
-        work.meshing_close_holes(maxholesize=MAX_HOLE, selfintersection=False)
+        work.meshing_close_holes(maxholesize=MAX_HOLE_EDGES, selfintersection=False)
     except pymeshlab.PyMeshLabException:
         return
     mended = work.current_mesh()
@@ -230,8 +231,8 @@ def _outward(name: str, vertices: Array, faces: Array, body: Array, size: float)
     """
     area, corners = _areas(vertices, faces), vertices[faces] - vertices[faces[0, 0]]
     volume = np.bincount(body, np.linalg.det(corners) / 6)
-    flat = np.abs(volume) < MIN_THICKNESS * size * np.bincount(body, area)
-    if area[flat[body]].sum() > MAX_NEW_AREA * area.sum():
+    flat = np.abs(volume) < MIN_THICKNESS_RATIO * size * np.bincount(body, area)
+    if area[flat[body]].sum() > MAX_REPAIR_AREA_CHANGE * area.sum():
         where = _place(vertices[faces[flat[body]][0]])
         raise UserError(f"{name}: {'' if flat.all() else f'has a part, {where}, that '}encloses no volume")
     faces = np.where(volume[body, None] < 0, faces[:, ::-1], faces)

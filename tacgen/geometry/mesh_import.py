@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from tacgen.geometry.sdf_grid import Field
 
 Array = np.ndarray
-CACHE_VERSION = 5  # of the grids and walls in the cache
-MAX_NODES = 8_000_000  # of a distance grid: 64 MB of spline
+GRID_CACHE_VERSION = 5  # of the grids and walls in the cache
+MAX_GRID_NODES = 8_000_000  # of a distance grid: 64 MB of spline
 MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no farther away
-FINER = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of dhat that are tried for walls too thin for it [-]
-MIN_WALL = 2.2  # thickness of a wall over dhat [-]: contact shrinks an indenter by up to dhat, from both sides
-PARALLEL = 0.95  # cosine of the angle between the sides of a wall; tips and threads have larger angles [-]
-MAX_THIN = 0.01  # largest share of the surface that may belong to thinner walls
+THIN_WALL_DHAT_FACTORS = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of dhat that are tried for walls too thin for it [-]
+MIN_WALL_RATIO = 2.2  # thickness of a wall over dhat [-]: contact shrinks an indenter by up to dhat, from both sides
+MIN_WALL_COSINE = 0.95  # cosine of the angle between the sides of a wall; tips and threads have larger angles [-]
+MAX_THIN_SHARE = 0.01  # largest share of the surface that may belong to thinner walls
 
 
 def placed(solid: SolidMesh, *, up: str = "+z", scale: float = 1.0, size: float | None = None) -> SolidMesh:
@@ -104,8 +104,8 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: 
     """Signed distance of a placed solid: a spline, with the triangles themselves at sharp edges.
 
     Args:
-        cell: spacing of the grid [mm]; smaller for thin bodies, larger if there would be more than MAX_NODES nodes.
-        height: largest height of the gel above the lowest point [mm].
+        cell: spacing of the grid [mm]; smaller for thin bodies, larger if there would be more than MAX_GRID_NODES
+        nodes. height: largest height of the gel above the lowest point [mm].
         half: largest distance of the gel from the z axis [mm].
         radius: of sharp convex edges [mm].
 
@@ -116,11 +116,11 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: 
     a = np.maximum(low - MARGIN_CELLS * cell, [-half, -half, -np.inf])
     b = np.minimum(high + MARGIN_CELLS * cell, [half, half, height])
     cell = min(cell, float((high - low).min()) / 6)
-    cell = max(cell, float((np.prod(b - a) / MAX_NODES) ** (1 / 3)))
+    cell = max(cell, float((np.prod(b - a) / MAX_GRID_NODES) ** (1 / 3)))
     nodes = np.ceil((b - a) / cell).astype(int) + 5  # two more on each side for the spline
     origin = a - 2 * cell
     asked = (solid, origin, cell, tuple(int(n) for n in nodes))
-    key = array_cache.digest((CACHE_VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
+    key = array_cache.digest((GRID_CACHE_VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
     distances = array_cache.kept_one("distances", key, lambda: _distances(*asked))
     from scipy.spatial import ConvexHull
 
@@ -146,15 +146,15 @@ def refuse_thin_walls(solid: SolidMesh, dhat: float, height: float) -> None:
     """Raise UserError if walls of the solid below `height` [mm] are too thin for contact over `dhat` [mm]."""
 
     def thin(dhat: float) -> bool:
-        key = array_cache.digest((CACHE_VERSION, dhat, height, solid.vertices, solid.triangles))
-        share = array_cache.kept_one("walls", key, lambda: np.array(_thin_share(solid, MIN_WALL * dhat, height)))
-        return bool(share > MAX_THIN)
+        key = array_cache.digest((GRID_CACHE_VERSION, dhat, height, solid.vertices, solid.triangles))
+        share = array_cache.kept_one("walls", key, lambda: np.array(_thin_share(solid, MIN_WALL_RATIO * dhat, height)))
+        return bool(share > MAX_THIN_SHARE)
 
     if not thin(dhat):
         return
-    fine = next((dhat * part for part in FINER if not thin(dhat * part)), None)
+    fine = next((dhat * part for part in THIN_WALL_DHAT_FACTORS if not thin(dhat * part)), None)
     advice = f"ask for quality: {{dhat_mm: {fine:.2g}}}" if fine else "make them thicker"
-    text = f"has walls thinner than {MIN_WALL * dhat:.2g} mm, too thin for contact over {dhat:g} mm: {advice}"
+    text = f"has walls thinner than {MIN_WALL_RATIO * dhat:.2g} mm, too thin for contact over {dhat:g} mm: {advice}"
     raise UserError(f"{solid.name}: {text}")
 
 
@@ -175,7 +175,7 @@ def _thin_share(solid: SolidMesh, thickness: float, height: float) -> float:
     inward = middle[some] - thickness * unit[some]
     outside = igl.fast_winding_number(*surface, inward) < 0.5
     side = igl.point_mesh_squared_distance(inward, *surface)[1]
-    parallel = (unit[some] * unit[side]).sum(1) < -PARALLEL
+    parallel = (unit[some] * unit[side]).sum(1) < -MIN_WALL_COSINE
     return float(area[some] @ (outside & parallel) / area[some].sum())
 
 

@@ -13,8 +13,8 @@ from tacgen.base.compiled import njit
 from tacgen.geometry.convex_edges import Convex
 
 Array = np.ndarray
-EDGE_BEND = 0.5  # sum of second differences at an edge, over the cell size [-]
-MEAN_EDGE_BEND = 0.35  # the same for the binomial mean, which spreads an edge over several cells [-]
+EDGE_BEND_RATIO = 0.5  # sum of second differences at an edge, over the cell size [-]
+MEAN_EDGE_BEND_RATIO = 0.35  # the same for the binomial mean, which spreads an edge over several cells [-]
 
 
 @njit(cache=False)
@@ -139,12 +139,12 @@ class Field:
         """
         d = np.asarray(distances, float)
         bend = _second_differences(d)
-        spline = d - np.exp(-((bend / (EDGE_BEND * cell)) ** 2)) * bend / 6
+        spline = d - np.exp(-((bend / (EDGE_BEND_RATIO * cell)) ** 2)) * bend / 6
         if blunt:
             mean = d
             for axis in range(3):
                 mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
-            smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND * cell)) ** 2))
+            smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND_RATIO * cell)) ** 2))
             spline = smooth * spline + (1 - smooth) * mean
         more = _half_thickness(d, cell), corners, surface, convex
         return cls(spline, np.asarray(origin, float), cell, smallest_radius, *more)

@@ -14,8 +14,8 @@ import numpy as np
 from tacgen.geometry.analytic_sdf import Shape
 
 Array = np.ndarray
-MAX_CELLS = 2_000_000  # of the coarse grid
-MAX_ROUNDS = 60  # most rounds of edge splitting
+MAX_COARSE_CELLS = 2_000_000  # of the coarse grid
+MAX_SPLIT_ROUNDS = 60  # most rounds of edge splitting
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> T
         low[axis] = max(low[axis], -shape.support(-unit))
         high[axis] = min(high[axis], shape.support(unit))
     cell = min(shape.reach / 3, float((high - low).min()) / 6, 1.0)
-    cell = max(cell, float((np.prod(high - low) / MAX_CELLS) ** (1 / 3)))
+    cell = max(cell, float((np.prod(high - low) / MAX_COARSE_CELLS) ** (1 / 3)))
     vertices, triangles = _surface_nets(shape, low - 1.53 * cell, high + 1.53 * cell, cell)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_SPLIT_ROUNDS):
         vertices = _projected(shape, vertices)
         edges, sides = _edges(triangles)
         off = np.abs(shape.value(vertices[edges].mean(1))) > tolerance

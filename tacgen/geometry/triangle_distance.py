@@ -6,10 +6,11 @@ from tacgen.base.compiled import njit
 from tacgen.geometry.sdf_grid import spline_weights
 
 Array = np.ndarray
-MOST = 16  # distances that are about as small at one point
-ACTS = 3.0  # distance over the radius up to which contact may act [-]: normals and curvatures beyond are the spline's
-CLOSE = 1e-5  # rounding error of distances in single precision [mm]
-ON_CORE = 1e-9  # distance from the core [mm] within which its direction is rounding error
+MAX_TIED_DISTANCES = 16  # distances that are about as small at one point
+# distance over the radius up to which contact may act [-]: normals and curvatures beyond are the spline's
+MAX_CONTACT_RADII = 3.0
+SINGLE_PRECISION_MM = 1e-5  # rounding error of distances in single precision [mm]
+MIN_CORE_DISTANCE_MM = 1e-9  # distance from the core [mm] within which its direction is rounding error
 
 
 @njit(cache=False)
@@ -147,11 +148,11 @@ def _exact(
         if end:
             break
         least = np.inf
-    if length > (1 + ACTS) * radius:
+    if length > (1 + MAX_CONTACT_RADII) * radius:
         return length - radius, False
     n[0], n[1], n[2] = x - best[0], y - best[1], z - best[2]
     D[:] = 0.0
-    if abs(length) < ON_CORE:  # the direction outward
+    if abs(length) < MIN_CORE_DISTANCE_MM:  # the direction outward
         n[:] = table[which, row] / np.sqrt((table[which, row] ** 2).sum())
         return length - radius, True
     n /= length
@@ -193,7 +194,9 @@ def _rounded(
             continue
         again = False
         for j in range(count):
-            again |= (known[j, 0] - a0) ** 2 + (known[j, 1] - a1) ** 2 + (known[j, 2] - a2) ** 2 < ON_CORE**2
+            again |= (known[j, 0] - a0) ** 2 + (known[j, 1] - a1) ** 2 + (
+                known[j, 2] - a2
+            ) ** 2 < MIN_CORE_DISTANCE_MM**2
         if again:  # an edge of two triangles
             continue
         known[count, 0], known[count, 1], known[count, 2] = a0, a1, a2
@@ -244,7 +247,7 @@ def correct(
     """The distances d (n,) of a spline at p (n, 3), their gradients g and Hessians H pass into the exact ones; see
     exact_edges.SharpField."""
     w, n, D = np.empty((3, 3, 4)), np.empty(3), np.empty((3, 3))
-    s, S, index, work = np.empty(3), np.empty((3, 3)), np.empty(3, np.int64), np.empty((12 + MOST, 3))
+    s, S, index, work = np.empty(3), np.empty((3, 3)), np.empty(3, np.int64), np.empty((12 + MAX_TIED_DISTANCES, 3))
     for m in range(len(p)):
         inner = True
         for a in range(3):
@@ -266,7 +269,7 @@ def correct(
         for a in range(3):
             gap += (p[m, a] - origin[a] - (index[a] + 0.5) * cell) ** 2
         i, j = start[number], start[number + 1]
-        some, gap = (near[i:j], away[i:j]), np.sqrt(gap) + CLOSE
+        some, gap = (near[i:j], away[i:j]), np.sqrt(gap) + SINGLE_PRECISION_MM
         exact, acts = _exact(table, body, *some, p[m, 0], p[m, 1], p[m, 2], gap, radius, n, D, work)
         more = exact - d[m]
         d[m] += part * more

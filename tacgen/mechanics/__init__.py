@@ -8,7 +8,7 @@ It knows no recipe. A Scene (gel, indenter, poses, friction, tolerances) is mesh
         state.traction_force.sum((0, 1))  # force of the indenter on the gel (3,) [N]
 
 docs/MECHANICS.md has the algorithm by module. `solver` drives it: kernels of load_step, bulk_newton (on the gel, with
-contact_newton on its Schur complement), admission and load_stepping, in the order of phases.TRANSITIONS. Without
+contact_newton on its Schur complement), admission and load_stepping, in the order of phases.PHASE_TRANSITIONS. Without
 CHOLMOD full_newton solves on all unknowns.
 The names are imported when they are first used: a recipe's path needs no solver.
 """
@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tacgen.mechanics.failures import Failure, NotConverged
     from tacgen.mechanics.frames import normal_force, states, warm
-    from tacgen.mechanics.options import DEFAULT, SolverOptions, plain, short_steps
+    from tacgen.mechanics.options import DEFAULT_OPTIONS, SolverOptions, plain, short_steps
     from tacgen.mechanics.problem import Problem
     from tacgen.mechanics.scene import Scene
     from tacgen.mechanics.state import State
 
-MODULES = {  # of each public name
-    "DEFAULT": "options",
+PUBLIC_MODULES = {  # of each public name
+    "DEFAULT_OPTIONS": "options",
     "Failure": "failures",
     "NotConverged": "failures",
     "Problem": "problem",
@@ -40,12 +40,12 @@ MODULES = {  # of each public name
 }
 
 __all__ = [
-    "DEFAULT", "Failure", "NotConverged", "Problem", "Scene", "SolverOptions", "State", "normal_force", "plain",
+    "DEFAULT_OPTIONS", "Failure", "NotConverged", "Problem", "Scene", "SolverOptions", "State", "normal_force", "plain",
     "short_steps", "states", "warm",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name not in MODULES:
+    if name not in PUBLIC_MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{MODULES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{PUBLIC_MODULES[name]}"), name)

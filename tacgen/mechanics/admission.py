@@ -15,10 +15,10 @@ from tacgen.mechanics.solve_state import SolveState, known
 from tacgen.mechanics.state import History, State, joined
 
 Array = np.ndarray
-STIFFENINGS = 8  # most solves, with stiffer barriers each time, until nothing penetrates or inverts
-NEGLIGIBLE = 1e-3  # smallest force scale, over the largest contact force so far [-]
-SHARP = 1.5  # indenter's smallest radius over the element edge, below which its edges count as sharp [-]
-TURNED = 0.3  # change of the indenter's normal at a point that counts as crossing an edge in one step [rad]
+MAX_BARRIER_STIFFENINGS = 8  # most solves, with stiffer barriers each time, until nothing penetrates or inverts
+MIN_FORCE_SCALE_RATIO = 1e-3  # smallest force scale, over the largest contact force so far [-]
+SHARP_RADIUS_EDGES = 1.5  # indenter's smallest radius over the element edge, below which its edges count as sharp [-]
+MIN_CROSSING_ANGLE = 0.3  # change of the indenter's normal at a point that counts as crossing an edge in one step [rad]
 
 
 def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
@@ -30,7 +30,7 @@ def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     least_J = least_jacobian(problem.mesh.points, solution.x, problem.mesh.cells)
     now = replace(now, solves=now.solves + 1, steps=now.steps + solution.steps, damped=now.damped + solution.damped)
     touching, inverted = not solution.least_gap > 0, not least_J > 0
-    if (touching or inverted) and now.solves < STIFFENINGS:
+    if (touching or inverted) and now.solves < MAX_BARRIER_STIFFENINGS:
         return Outcome.stiffer, replace(now, step=step.stiffened(solution, touching, inverted))
     residual, balance = imbalance(step, solution)
     if residual > most or balance > most or solution.least_gap <= 0:
@@ -82,7 +82,7 @@ def _record(
         anchor,
         forces.gap,
         contact.kappa,
-        max(history.least_force, NEGLIGIBLE * float(forces.N.sum())),
+        max(history.least_force, MIN_FORCE_SCALE_RATIO * float(forces.N.sum())),
         None if history.velocity is None else (solution.x - history.x) / step.duration,
         internal,
         folds_on(history, now.damped),
@@ -105,7 +105,7 @@ def folds_on(before: History, damped: int) -> bool:
 
 def sharp(problem: Problem) -> bool:
     """Whether the indenter's edges are sharper than the mesh."""
-    return problem.contact.shape.smallest_radius < SHARP * problem.edge
+    return problem.contact.shape.smallest_radius < SHARP_RADIUS_EDGES * problem.edge
 
 
 def rounded(problem: Problem, before: History, after: History) -> float:
@@ -116,7 +116,7 @@ def rounded(problem: Problem, before: History, after: History) -> float:
     """
     if not problem.friction or not sharp(problem):
         return 0.0
-    turned = np.linalg.norm(after.normal - before.normal, axis=-1) > TURNED
+    turned = np.linalg.norm(after.normal - before.normal, axis=-1) > MIN_CROSSING_ANGLE
     force = np.maximum(after.normal_force, before.normal_force)[turned].sum()
     whole = max(float(after.normal_force.sum()), float(before.normal_force.sum()), after.least_force)
     return problem.friction * float(force) / whole

@@ -15,16 +15,17 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
 
 Array = np.ndarray
-SOFT = 0.5  # gap over dhat below which the barrier is a parabola, so that Newton can start from an overlap [-]
+# gap over dhat below which the barrier is a parabola, so that Newton can start from an overlap [-]
+PARABOLA_GAP_RATIO = 0.5
 
 
 def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
     """Clamped log barrier in millimetres with its first two derivatives.
 
-        b(d) = -dhat (d/dhat - 1)^2 ln(d/dhat)     for SOFT dhat < d < dhat
+        b(d) = -dhat (d/dhat - 1)^2 ln(d/dhat)     for PARABOLA_GAP_RATIO dhat < d < dhat
 
-    0 from dhat on and C2 there; below SOFT dhat its second-order Taylor polynomial. Times kappa [MPa] and an area
-    [mm^2] it is an energy [N mm].
+    0 from dhat on and C2 there; below PARABOLA_GAP_RATIO dhat its second-order Taylor polynomial. Times kappa [MPa] and
+    an area [mm^2] it is an energy [N mm].
 
     Args:
         d: gaps [mm], any shape. dhat: gap below which the barrier acts [mm].
@@ -33,10 +34,10 @@ def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
         b [mm], db/dd [-], d2b/dd2 [1/mm], each of the shape of d.
     """
     s = d / dhat
-    t = np.clip(s, SOFT, 1.0)
+    t = np.clip(s, PARABOLA_GAP_RATIO, 1.0)
     ln, r = np.log(t), 1 - t
     b, db, ddb = -(r**2) * ln, 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
-    below = np.minimum(s - SOFT, 0.0)
+    below = np.minimum(s - PARABOLA_GAP_RATIO, 0.0)
     return dhat * (b + db * below + ddb / 2 * below**2), db + ddb * below, ddb / dhat
 
 

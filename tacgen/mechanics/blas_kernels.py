@@ -14,8 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-CHOICE = "OPENBLAS_CORETYPE"  # environment variable, read when the library is loaded
-NEEDS = {  # instructions that kernels of OpenBLAS need, best kernels first
+OPENBLAS_VARIABLE = "OPENBLAS_CORETYPE"  # environment variable, read when the library is loaded
+KERNEL_INSTRUCTIONS = {  # instructions that kernels of OpenBLAS need, best kernels first
     "SkylakeX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"},
     "Haswell": {"avx2", "fma"},
 }
@@ -25,7 +25,7 @@ def kernels(vendor: str, flags: set[str]) -> str:
     """Name of the kernels for an Intel processor; empty: OpenBLAS's own choice, which knows AMD's since Zen."""
     if vendor != "GenuineIntel":
         return ""
-    return next((name for name, needs in NEEDS.items() if needs <= flags), "")
+    return next((name for name, needs in KERNEL_INSTRUCTIONS.items() if needs <= flags), "")
 
 
 def _processor() -> tuple[str, set[str]]:
@@ -42,14 +42,14 @@ def _processor() -> tuple[str, set[str]]:
 def _chosen() -> Iterator[None]:
     """Libraries that are loaded in this block use the kernels for this processor, unless the user has chosen some."""
     name = kernels(*_processor())
-    if CHOICE in os.environ or platform.machine() != "x86_64" or not name:
+    if OPENBLAS_VARIABLE in os.environ or platform.machine() != "x86_64" or not name:
         yield
         return
-    os.environ[CHOICE] = name
+    os.environ[OPENBLAS_VARIABLE] = name
     try:
         yield
     finally:
-        del os.environ[CHOICE]
+        del os.environ[OPENBLAS_VARIABLE]
 
 
 @cache

@@ -10,7 +10,7 @@
         x <- x + a p   with the first a = 1, 1/2, 1/4... that lowers the energy, normal forces frozen
 
 Each function is one kernel: it takes the problem and a solve's SolveState, and returns what it found and the SolveState
-after it; phases.TRANSITIONS says which comes next.
+after it; phases.PHASE_TRANSITIONS says which comes next.
 
 Folding of the gel's surface and wrinkling of its skin are instabilities: no quasi-static path continues, however short
 the load steps are. There the damped steps decrease the energy until the next equilibrium, like a slightly viscous gel.
@@ -24,7 +24,7 @@ import numpy as np
 
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk, BulkPoint
-from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING, Condensation, more
+from tacgen.mechanics.condensation import DAMPING_FACTOR, MIN_DAMPING, Condensation, more
 from tacgen.mechanics.contact_newton import (
     ContactIterate,
     ContactStatus,
@@ -47,10 +47,10 @@ from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
-MIN_GAIN = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
-SHORTEST = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
-DAMPING_MAX = 2e3  # largest damping, over the stiffness at rest [-]
-ROUNDING = 1e-12  # relative rounding error of the energy [-]
+MIN_ENERGY_GAIN = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
+MIN_BULK_STEP = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
+MAX_DAMPING = 2e3  # largest damping, over the stiffness at rest [-]
+ENERGY_ROUNDING = 1e-12  # relative rounding error of the energy [-]
 log = logging.getLogger(__name__)
 
 
@@ -126,7 +126,7 @@ def damp(problem: Problem, now: SolveState) -> Result:
         return Outcome.missing, replace(now, newton=newton)
     if not may_damp(now.history, now.legs[0], problem.options):
         return Outcome.failure, now.failed(Failure.folds)
-    if linear.damping > DAMPING_MAX:
+    if linear.damping > MAX_DAMPING:
         return Outcome.failure, failed(now, newton.at.x, newton.steps)
     quadratic = replace(linear.quadratic, schur=linear.quadratic.schur.more_damped())
     inner = _untouched(quadratic, problem.tangent.condensation, newton.contact)
@@ -150,16 +150,16 @@ def search(problem: Problem, now: SolveState) -> Result:
     contact_change = contact.merit(inner.x, inner.forces) - before
     # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
     model = float((linear.g * p).sum() + u @ (schur.S @ u + linear.quadratic.force)) / 2 + contact_change
-    rounding = steps_end(problem) * now.history.least_force + ROUNDING * abs(at.energy)
+    rounding = steps_end(problem) * now.history.least_force + ENERGY_ROUNDING * abs(at.energy)
 
     def trial(part: float) -> tuple[bool, tuple[BulkPoint, float, float]]:
         there, touch = bulk.at(at.x + part * p), here + part * p[condensed.nodes]
         of_contact = contact_change if part == 1 else contact.merit(touch, inner.forces) - before
         change = there.energy - at.energy + of_contact
         gain = 1.0 if abs(change) <= rounding else change / min(part * model, -rounding)
-        return gain >= MIN_GAIN, (there, gain, part)
+        return gain >= MIN_ENERGY_GAIN, (there, gain, part)
 
-    found, last = backtrack(trial, SHORTEST)
+    found, last = backtrack(trial, MIN_BULK_STEP)
     if not found:
         return Outcome.higher, now
     assert last is not None
@@ -232,7 +232,7 @@ def next_damping(damping: float, part: float, circling: bool, fell: bool) -> flo
         return damping if fell else more(damping)
     if part < 1:
         return damping
-    return 0.0 if damping <= LEAST_DAMPING else damping / DAMPING_FACTOR
+    return 0.0 if damping <= MIN_DAMPING else damping / DAMPING_FACTOR
 
 
 def slow(options: SolverOptions, residual: float, rate: float) -> bool:

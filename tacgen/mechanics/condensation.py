@@ -21,19 +21,20 @@ from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.mechanics.linear_solvers import Cholmod, dissection
 
 Array = np.ndarray
-LEAST_DAMPING = 0.02  # smallest Levenberg-Marquardt damping that is worth trying, over the stiffness at rest [-]
+MIN_DAMPING = 0.02  # smallest Levenberg-Marquardt damping that is worth trying, over the stiffness at rest [-]
 DAMPING_FACTOR = 4.0  # by which damping is increased where it does not suffice [-]
 # Diagonal shift of the condensed dofs over the largest diagonal entry [-]: added before the factorisation and
 # subtracted from S, so that only the part of the gel away from the contact must be stable by itself
-SHIFT = 10.0
-SINGLE = 400  # unknowns from which LU in single precision, refined to double, is faster than in double
-REFINED = 1e-11  # error of a refined solution over its size [-]
-REFINEMENTS = 8  # most refinements; the contact's stiffness takes one or two
+CONDENSED_DIAGONAL_SHIFT = 10.0
+# unknowns from which LU in single precision, refined to double, is faster than in double
+MIN_SINGLE_PRECISION_DOFS = 400
+REFINED_SOLUTION_TOL = 1e-11  # error of a refined solution over its size [-]
+MAX_REFINEMENTS = 8  # most refinements; the contact's stiffness takes one or two
 
 
 def more(damping: float) -> float:
     """The next larger damping, over the stiffness at rest [-]."""
-    return max(DAMPING_FACTOR * damping, LEAST_DAMPING)
+    return max(DAMPING_FACTOR * damping, MIN_DAMPING)
 
 
 class Condensation:
@@ -112,7 +113,7 @@ class Condensation:
 
 def _lu(K: Array) -> Callable[[Array], Array]:
     """K^-1, to whose solver K belongs from now on. Raises LinAlgError: singular."""
-    return _refined(K) if len(K) >= SINGLE else _double(K)
+    return _refined(K) if len(K) >= MIN_SINGLE_PRECISION_DOFS else _double(K)
 
 
 def _double(K: Array) -> Callable[[Array], Array]:
@@ -145,11 +146,12 @@ def _refined(K: Array) -> Callable[[Array], Array]:
     def solve(b: Array) -> Array:
         x = rough(b)
         size = float(np.linalg.norm(x))
-        for _ in range(REFINEMENTS):
+        for _ in range(MAX_REFINEMENTS):
             step = rough(b - K @ x)
             x += step
             before, size = size, float(np.linalg.norm(step))
-            if size**2 <= REFINED * float(np.linalg.norm(x)) * before:  # steps shrink by the same factor each
+            # steps shrink by the same factor each
+            if size**2 <= REFINED_SOLUTION_TOL * float(np.linalg.norm(x)) * before:
                 return x
             if not size < before:
                 break
@@ -168,7 +170,7 @@ def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tu
     """Factorises a matrix of entries `data`, shifted at those of the condensed `diagonal`: the condensed rows of the
     factor, which are its last ones at `rows`, and the Schur complement."""
     size, data = len(rows), data.copy()
-    shift = SHIFT * float(np.abs(data[diagonal]).max())
+    shift = CONDENSED_DIAGONAL_SHIFT * float(np.abs(data[diagonal]).max())
     data[diagonal] += shift
     factor.factor(data)
     L = factor.trailing(size)

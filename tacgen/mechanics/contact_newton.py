@@ -19,11 +19,11 @@ from tacgen.mechanics.coupled import ContactForces, CoupledContact
 from tacgen.mechanics.line_search import armijo, backtrack
 
 Array = np.ndarray
-ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
-FULL_STEP = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
-SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
-SAME_PLACE = 0.1  # distance of two iterates, over the tolerance, up to which they are one place [-]
-MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
+MERIT_ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
+MAX_FULL_STEP_RESIDUAL_RATIO = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
+MIN_LINE_SEARCH_FRACTION = 1e-8  # fraction of a step at which a line search has stalled [-]
+SAME_ITERATE_TOL = 0.1  # distance of two iterates, over the tolerance, up to which they are one place [-]
+MIN_COUPLED_FRACTION = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
 class EnergyPoint(Protocol):
@@ -171,9 +171,9 @@ def contact_step(
     now = replace(now, x=there, forces=forces, here=here, g=g, length=length, status=ContactStatus.running)
     if fraction == 1.0 and length <= xtol and max(abs(drift), now.off) <= xtol:
         return replace(now, status=ContactStatus.converged)
-    if fraction * length < SHORTEST * xtol:
+    if fraction * length < MIN_LINE_SEARCH_FRACTION * xtol:
         return replace(now, status=ContactStatus.converged if length <= xtol else ContactStatus.stopped)
-    if earlier is not None and _far(now, earlier) <= SAME_PLACE * xtol < length:
+    if earlier is not None and _far(now, earlier) <= SAME_ITERATE_TOL * xtol < length:
         lower = min(now, start, key=lambda one: float(np.linalg.norm(one.g)))
         return replace(lower, steps=now.steps, length=length, status=ContactStatus.circling)
     return replace(now, before=start)
@@ -211,7 +211,7 @@ def _full(
     if contact.contact.max_step(forces.gap, p) < 1.0:
         return None
     there = _evaluated(bulk, contact, x + p)
-    return there if np.linalg.norm(there[2]) <= FULL_STEP * np.linalg.norm(g) else None
+    return there if np.linalg.norm(there[2]) <= MAX_FULL_STEP_RESIDUAL_RATIO * np.linalg.norm(g) else None
 
 
 def _to_radius(gone: Array, step: Array, radius: float) -> float:
@@ -223,8 +223,8 @@ def _to_radius(gone: Array, step: Array, radius: float) -> float:
 def _downhill(
     bulk: BulkModel[P], at: P, contact: CoupledContact, forces: ContactForces, x: Array, g: Array, coupled: Array | None
 ) -> tuple[float, Array | None]:
-    """Fraction and step that lower the merit function: the coupled step or, if less than MIN_COUPLED of it does, the
-    symmetric one; None if neither does."""
+    """Fraction and step that lower the merit function: the coupled step or, if less than MIN_COUPLED_FRACTION of it
+    does, the symmetric one; None if neither does."""
     here = at.energy + contact.merit(x, forces)
 
     def decreasing(p: Array, least: float) -> float:
@@ -235,13 +235,13 @@ def _downhill(
 
         def trial(fraction: float) -> tuple[bool, None]:
             merit = energy(fraction) + contact.merit(x + fraction * p, forces)
-            return armijo(merit, here, fraction * slope, ROUNDING), None
+            return armijo(merit, here, fraction * slope, MERIT_ROUNDING), None
 
         return backtrack(trial, least, contact.contact.max_step(forces.gap, p))[0]
 
-    if coupled is not None and (fraction := decreasing(coupled, MIN_COUPLED)) > 0:
+    if coupled is not None and (fraction := decreasing(coupled, MIN_COUPLED_FRACTION)) > 0:
         return fraction, coupled
     p = bulk.solve(at, contact, forces.definite, g, True)
-    if p is not None and (fraction := decreasing(p, SHORTEST)) > 0:
+    if p is not None and (fraction := decreasing(p, MIN_LINE_SEARCH_FRACTION)) > 0:
         return fraction, p
     return 0.0, None

@@ -15,11 +15,14 @@ if TYPE_CHECKING:
     from tacgen.geometry.gel import GelBody
 
 Array = np.ndarray
-AT_1_MM, EDGE_POWER, WIDTH_POWER = 0.110, 1.8, -0.45  # fitted to 45 scenes by a script, last in f8101efd
-AT_SHARP = 0.2  # error over edge / size of a contact at edges sharper than the mesh [-], by benchmarks/sharp.py
-SHARP = 1.5  # radius over the element edge, below which it is such an edge; above, the error falls as 1 / radius [-]
-FACTOR = 2  # within which most measured errors are: 77 % of 75 errors of 15 scenes that the fit has not seen
-LARGEST = 0.5  # expected error [-] above which a force is not shipped
+# fitted to 45 scenes by a script, last in f8101efd
+SMOOTH_ERROR_AT_1_MM, EDGE_EXPONENT, WIDTH_EXPONENT = 0.110, 1.8, -0.45
+SHARP_EDGE_ERROR = 0.2  # error over edge / size of a contact at edges sharper than the mesh [-], by benchmarks/sharp.py
+# radius over the element edge, below which it is such an edge; above, the error falls as 1 / radius [-]
+SHARP_RADIUS_RATIO = 1.5
+# within which most measured errors are: 77 % of 75 errors of 15 scenes that the fit has not seen
+ERROR_ESTIMATE_FACTOR = 2
+MAX_EXPECTED_ERROR = 0.5  # expected error [-] above which a force is not shipped
 
 
 def expected_force_error(edge: float, contact: Overlap, radius: float) -> float:
@@ -38,8 +41,13 @@ def expected_force_error(edge: float, contact: Overlap, radius: float) -> float:
     """
     if not (width := contact.width) > 0:
         return math.nan
-    smooth = AT_1_MM * edge**EDGE_POWER * width**WIDTH_POWER
-    sharp = AT_SHARP * min(1.0, SHARP * edge / max(radius, 1e-9)) * edge / math.sqrt(width * math.sqrt(contact.area))
+    smooth = SMOOTH_ERROR_AT_1_MM * edge**EDGE_EXPONENT * width**WIDTH_EXPONENT
+    sharp = (
+        SHARP_EDGE_ERROR
+        * min(1.0, SHARP_RADIUS_RATIO * edge / max(radius, 1e-9))
+        * edge
+        / math.sqrt(width * math.sqrt(contact.area))
+    )
     return float(smooth + sharp)
 
 
@@ -84,15 +92,16 @@ class Expected:
         sharp = f", where the indenter has a radius of {self.radius:.2g} mm" if self.radius < self.edge else ""
         return (
             f"expected error of the force by the mesh: about {_rounded(100 * self.error)} %, within a factor of"
-            f" {FACTOR} (edges of {self.edge:g} mm, a contact {self.contact.width:.2g} mm wide{sharp}); more where the"
+            f" {ERROR_ESTIMATE_FACTOR} (edges of {self.edge:g} mm, a contact {self.contact.width:.2g} mm wide{sharp}); "
+            f"more where the"
             " contact is narrower"
         )
 
     def refuse(self) -> None:
         """Raise UserError if no frame can be right."""
-        if self.error <= LARGEST:
+        if self.error <= MAX_EXPECTED_ERROR:
             return
-        fine = self.edge_with(LARGEST / 2, self.edge, 0.9)
+        fine = self.edge_with(MAX_EXPECTED_ERROR / 2, self.edge, 0.9)
         raise UserError(
             f"quality: edges of {self.edge:g} mm are too long for a contact {self.contact.width:.2g} mm wide: forces"
             f" would be about {_rounded(100 * self.error)} % off; ask for quality: {{edge_mm: {fine:.2g}}}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tacgen.geometry.analytic_sdf import MAX_SLOPE
+from tacgen.geometry.analytic_sdf import MAX_SDF_SLOPE
 from tacgen.geometry.pose import Pose
 
 if TYPE_CHECKING:
@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from tacgen.geometry.gel import GelBody
 
 Array = np.ndarray
-LOOKED_AT = 12  # frames of a scene whose contact is measured
-POINTS = 15_000  # of the face's bounding box at which the overlap is counted: some .2 mm apart
-BLOCK = 8  # points along the side of a block, in which none is looked at if the indenter is far away
-FEW, FINER = 150, 8  # points of an overlap, below which it is counted on a grid that is so many times as fine
+MAX_MEASURED_FRAMES = 12  # frames of a scene whose contact is measured
+OVERLAP_GRID_POINTS = 15_000  # of the face's bounding box at which the overlap is counted: some .2 mm apart
+OVERLAP_BLOCK_POINTS = 8  # points along the side of a block, in which none is looked at if the indenter is far away
+# points of an overlap, below which it is counted on a grid that is so many times as fine
+MIN_OVERLAP_POINTS, OVERLAP_REFINEMENT = 150, 8
 
 
 class Overlap(NamedTuple):
@@ -46,8 +47,10 @@ class FaceGrid:
     @classmethod
     @lru_cache(maxsize=2)
     def of(cls, gel: "GelBody", step: float = 0.0) -> "FaceGrid":
-        """The face of a gel, shared by the scenes of a sensor; a grasp has two. A `step` of 0 gives POINTS points."""
-        step = step or math.sqrt(gel.width * gel.height / POINTS)
+        """The face of a gel, shared by the scenes of a sensor; a grasp has two. A `step` of 0 gives OVERLAP_GRID_POINTS
+        points.
+        """
+        step = step or math.sqrt(gel.width * gel.height / OVERLAP_GRID_POINTS)
         x, y = (np.arange(-size / 2, size / 2, step) for size in (gel.width, gel.height))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
         inside = gel.contains(*at.T)
@@ -55,19 +58,21 @@ class FaceGrid:
         return cls(gel, np.column_stack([at, top]), (len(x), len(y)), inside, step)
 
     def overlap(self, shape: "Shape", pose: Array) -> Overlap:
-        """The overlap with an indenter at a pose (4, 4); one of few points is counted on a grid FINER times as fine."""
+        """The overlap with an indenter at a pose (4, 4); one of few points is counted on a grid OVERLAP_REFINEMENT
+        times as fine.
+        """
         placed, (numbers, middle, radius) = Pose.of(pose), self._blocks
-        near = numbers[shape.value(placed.local(middle)) < MAX_SLOPE * radius].ravel()
+        near = numbers[shape.value(placed.local(middle)) < MAX_SDF_SLOPE * radius].ravel()
         gap = shape.value(placed.local(self.points[near]))
         hit = np.zeros(self.shape, bool)
         hit.flat[near] = self.inside[near] & (gap < 0)
         # a point of the finer grid is less than a step away from one of this
-        near = near[gap < MAX_SLOPE * self.step] if np.count_nonzero(hit) < FEW else near[:0]
+        near = near[gap < MAX_SDF_SLOPE * self.step] if np.count_nonzero(hit) < MIN_OVERLAP_POINTS else near[:0]
         return self._finely(shape, placed, near) if len(near) else _measured(hit, self.step)
 
     def _finely(self, shape: "Shape", placed: Pose, near: Array) -> Overlap:
         """The overlap around the points with numbers `near`."""
-        low, high, step = self.points[near].min(0), self.points[near].max(0), self.step / FINER
+        low, high, step = self.points[near].min(0), self.points[near].max(0), self.step / OVERLAP_REFINEMENT
         x, y = (np.arange(low[k] - self.step, high[k] + self.step + step / 2, step) for k in (0, 1))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
         hit = self.gel.contains(*at.T)
@@ -90,12 +95,18 @@ class FaceGrid:
 
     @cached_property
     def _blocks(self) -> tuple[Array, Array, Array]:
-        """Numbers (b, k) of the points in each block of BLOCK x BLOCK; a sphere around them: centres (b, 3), radii (b,)
-        [mm]. Numbers at the ends come twice."""
+        """Numbers (b, k) of the points in each block of OVERLAP_BLOCK_POINTS x OVERLAP_BLOCK_POINTS; a sphere around
+        them: centres (b, 3), radii (b,) [mm]. Numbers at the ends come twice."""
         number = np.arange(len(self.points)).reshape(self.shape)
-        number = np.pad(number, [(0, -n % BLOCK) for n in self.shape], mode="edge")
+        number = np.pad(number, [(0, -n % OVERLAP_BLOCK_POINTS) for n in self.shape], mode="edge")
         x, y = number.shape
-        number = number.reshape(x // BLOCK, BLOCK, y // BLOCK, BLOCK).swapaxes(1, 2).reshape(-1, BLOCK**2)
+        number = (
+            number.reshape(
+                x // OVERLAP_BLOCK_POINTS, OVERLAP_BLOCK_POINTS, y // OVERLAP_BLOCK_POINTS, OVERLAP_BLOCK_POINTS
+            )
+            .swapaxes(1, 2)
+            .reshape(-1, OVERLAP_BLOCK_POINTS**2)
+        )
         points = self.points[number]
         middle = points.mean(1)
         return number, middle, np.linalg.norm(points - middle[:, None], axis=-1).max(1)
@@ -109,6 +120,6 @@ def _measured(hit: Array, step: float) -> Overlap:
 
 
 def overlaps(gel: "GelBody", shape: "Shape", poses: Array) -> list[tuple[Overlap, Array]]:
-    """The overlap in LOOKED_AT frames at the most, the last among them, and their poses (4, 4)."""
-    face, some = FaceGrid.of(gel), poses[:: -(-len(poses) // LOOKED_AT)]
+    """The overlap in MAX_MEASURED_FRAMES frames at the most, the last among them, and their poses (4, 4)."""
+    face, some = FaceGrid.of(gel), poses[:: -(-len(poses) // MAX_MEASURED_FRAMES)]
     return [(face.overlap(shape, pose), pose) for pose in (*some, poses[-1])]

@@ -6,26 +6,28 @@ from typing import Any
 
 import numpy as np
 
-SQUEEZED = 0.2  # J below which the message of a failure reports it [-]
-LESS = "try less depth, less friction or a finer mesh"
+MAX_REPORTED_J = 0.2  # J below which the message of a failure reports it [-]
+RETRY_HINT = "try less depth, less friction or a finer mesh"
 
 
 class Failure(StrEnum):
     """Why a frame has no solution. A value is the message, a format string of the failure's data."""
 
-    newton = f"Newton did not converge in {{steps}} steps; {LESS}"
-    squeezed = f"Newton did not converge in {{steps}} steps, the gel squeezed to {{least_J:.1%}} of its volume; {LESS}"
-    minimiser = f"Newton {{status}} after {{steps}} steps; {LESS}"
+    newton = f"Newton did not converge in {{steps}} steps; {RETRY_HINT}"
+    squeezed = (
+        f"Newton did not converge in {{steps}} steps, the gel squeezed to {{least_J:.1%}} of its volume; {RETRY_HINT}"
+    )
+    minimiser = f"Newton {{status}} after {{steps}} steps; {RETRY_HINT}"
     # the budget of Newton steps is spent; shorter load steps would need more
-    effort = f"Newton did not converge in {{steps}} steps, shorter load steps included; {LESS}"
+    effort = f"Newton did not converge in {{steps}} steps, shorter load steps included; {RETRY_HINT}"
     # the indenter might tunnel through the gel; a shorter load step may converge
     too_far = "the gel cannot follow the indenter that far at once"
     # the gel tunnelled while it folded; a shorter load step would fail in the same way
-    snaps = f"the gel folds, and snaps past a thin part of the indenter; {LESS}"
+    snaps = f"the gel folds, and snaps past a thin part of the indenter; {RETRY_HINT}"
     unbalanced = (
         "residual {residual:.1e} and balance {balance:.1e} of the contact force, smallest gap {least_gap:.1e} mm"
     )
-    inverted = f"an element is turned inside out, to {{least_J:.2g}} of its volume; {LESS}"
+    inverted = f"an element is turned inside out, to {{least_J:.2g}} of its volume; {RETRY_HINT}"
     inside = (
         "the indenter, {width:.3g} mm thin, penetrates the gel by {depth:.3g} mm between contact points of a mesh of"
         " edge {edge:g} mm: a finer one or less depth is needed"
@@ -57,4 +59,4 @@ class NotConverged(ArithmeticError):
 def no_equilibrium(J: Iterable[np.ndarray], steps: int) -> NotConverged:
     """The failure to find one in so many steps, which ended at these J."""
     least = min(float(part.min()) for part in J)
-    return NotConverged(Failure.squeezed if least < SQUEEZED else Failure.newton, steps=steps, least_J=least)
+    return NotConverged(Failure.squeezed if least < MAX_REPORTED_J else Failure.newton, steps=steps, least_J=least)

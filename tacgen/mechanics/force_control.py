@@ -4,9 +4,9 @@ from collections.abc import Callable, Generator
 from enum import Enum
 from typing import TypeVar
 
-POWER = 2 / 3  # exponent of the value that makes it linear in u for a ball pressed in by u (Hertz) [-]
-AT_END = 1e-12  # distance of u from an end at which it counts as the end
-TRIALS = 30  # most evaluations
+HERTZ_LINEAR_POWER = 2 / 3  # exponent of the value that makes it linear in u for a ball pressed in by u (Hertz) [-]
+END_TOL = 1e-12  # distance of u from an end at which it counts as the end
+MAX_FORCE_TRIALS = 30  # most evaluations
 T = TypeVar("T")
 
 
@@ -15,7 +15,7 @@ class End(Enum):
 
     met = "met"
     out_of_reach = "out of reach"  # the function is below the target on the whole interval, as its last value shows
-    not_found = "not found"  # within TRIALS evaluations
+    not_found = "not found"  # within MAX_FORCE_TRIALS evaluations
     stopped = "stopped"  # by the function
 
 
@@ -39,7 +39,7 @@ def meet(
     bounded = known[1] >= target  # whether an evaluation is an upper bound
     below, above = ((low, 0.0), known) if bounded else (known, (high, float("nan")))
     last, u = known, guess
-    for step in range(TRIALS):
+    for step in range(MAX_FORCE_TRIALS):
         inside = below[0] < u < above[0] or (u == high and not bounded)
         if not inside or step % 6 == 5:  # bisection, if the secant approaches from one side only
             u = (below[0] + above[0]) / 2
@@ -47,7 +47,7 @@ def meet(
             return End.stopped
         if abs(v - target) <= tol * target:
             return End.met
-        if v < target and u >= high - AT_END:
+        if v < target and u >= high - END_TOL:
             return End.out_of_reach
         if v < target:
             below = (u, v)
@@ -61,8 +61,8 @@ def meet(
 
 def _next(target: float, last: tuple[float, float], now: tuple[float, float]) -> float:
     """The secant through the last two points; nan, which requests bisection, if there is none."""
-    rise = max(now[1], 0.0) ** POWER - max(last[1], 0.0) ** POWER
+    rise = max(now[1], 0.0) ** HERTZ_LINEAR_POWER - max(last[1], 0.0) ** HERTZ_LINEAR_POWER
     run = now[0] - last[0]
     if not rise * run > 0:
         return float("nan")
-    return float(now[0] + (target**POWER - max(now[1], 0.0) ** POWER) * run / rise)
+    return float(now[0] + (target**HERTZ_LINEAR_POWER - max(now[1], 0.0) ** HERTZ_LINEAR_POWER) * run / rise)

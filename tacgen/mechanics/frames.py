@@ -13,18 +13,18 @@ import numpy as np
 
 from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.force_control import POWER, End, meet
+from tacgen.mechanics.force_control import HERTZ_LINEAR_POWER, End, meet
 from tacgen.mechanics.load_stepping import at_once, to_pose
-from tacgen.mechanics.options import DEFAULT, tighter
+from tacgen.mechanics.options import DEFAULT_OPTIONS, tighter
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.scene import FORCE_DEPTH, Scene
+from tacgen.mechanics.scene import MAX_FORCE_SEARCH_DEPTH, Scene
 from tacgen.mechanics.solve_state import SolveState
 from tacgen.mechanics.solver import solve
 from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
-ON_THE_WAY = 1e-2  # tolerance of a force in the frames before the end of a movement [-]
-RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
+INTERMEDIATE_FORCE_TOL = 1e-2  # tolerance of a force in the frames before the end of a movement [-]
+UNIT_RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 
 
 @dataclass
@@ -68,9 +68,12 @@ def _reach_force(
         return normal_force(trials[-1].reached()[1])
 
     known, at = (-float(last[2, 3]), before), -float(guess[2, 3])
-    face, elsewhere = floor + FORCE_DEPTH * problem.thickness, not np.allclose((guess - last) * (1 - RISE), 0)
+    face, elsewhere = (
+        floor + MAX_FORCE_SEARCH_DEPTH * problem.thickness,
+        not np.allclose((guess - last) * (1 - UNIT_RISE), 0),
+    )
     if before > 0 and (elsewhere or (at <= known[0]) == (target > before)):  # or it contradicts `known`
-        at = -face + (known[0] + face) * (target / before) ** POWER
+        at = -face + (known[0] + face) * (target / before) ** HERTZ_LINEAR_POWER
     if elsewhere:
         known = -face, 0.0
     low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
@@ -82,11 +85,11 @@ def _reach_force(
     most = max(map(normal_force, found), default=before)
     if end is End.out_of_reach:
         most = normal_force(found[-1])
-        raise NotConverged(Failure.too_much, asked=target, part=FORCE_DEPTH, most=most, index=index)
+        raise NotConverged(Failure.too_much, asked=target, part=MAX_FORCE_SEARCH_DEPTH, most=most, index=index)
     refused = [t.failure for t in trials if t.failure is not None]
     if end is End.stopped:
         raise NotConverged(Failure.force_effort, asked=target, why=refused[-1], most=most)
-    if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # tolerances are large beside light forces
+    if not refused and problem.options.step_tol >= DEFAULT_OPTIONS.step_tol:  # tolerances are large beside light forces
         finer = replace(problem, options=tighter(problem.options))
         return (yield from _reach_force(finer, history, last, guess, index, duration, aim))
     why = refused[-1] if refused else f"not met within {aim.tol:g} of it in {len(trials)} trials"
@@ -141,7 +144,7 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
             start_force = before
         if forced is not None and np.isfinite(asked := forced.asked[index]):
             target = start_force + forced.part[index] * (asked - start_force)
-            tol = forced.tol or (problem.options.force_tol if forced.part[index] == 1 else ON_THE_WAY)
+            tol = forced.tol or (problem.options.force_tol if forced.part[index] == 1 else INTERMEDIATE_FORCE_TOL)
             aim = Aim(target, before, forced.floor[index], tol)
             found = yield from _reach_force(problem, history, last, pose, index, duration, aim)
             history, state = found.reached()
@@ -150,7 +153,7 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
                 raise NotConverged(Failure.deeper, asked=target, depth=-shift)
         else:
             if forced is not None and shift:
-                pose = pose + forced.carry[index] * shift * RISE
+                pose = pose + forced.carry[index] * shift * UNIT_RISE
             turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
             task = Task(problem, to_pose(problem, history, last, pose, turn, index, duration))
             yield task

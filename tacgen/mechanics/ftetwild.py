@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 Array = np.ndarray
-RANDOM_DEVICE = "_ZNSt13random_device9_M_getvalEv"  # a draw from std::random_device
+RANDOM_DEVICE_SYMBOL = "_ZNSt13random_device9_M_getvalEv"  # a draw from std::random_device
 PR_SET_PDEATHSIG = 1  # of prctl: the signal to a process whose parent has ended
-NO_SEED = 3  # exit code
+NO_SEED_EXIT_CODE = 3  # exit code
 
 
 class Unseeded(Exception):
@@ -43,7 +43,7 @@ def tetrahedralised(*arguments: Any) -> tuple[Array, Array]:
             capture_output=True,
             text=True,
         )
-        if done.returncode == NO_SEED:
+        if done.returncode == NO_SEED_EXIT_CODE:
             raise Unseeded(version("pytetwild"))
         if done.returncode:
             raise RuntimeError(f"fTetWild ended with exit code {done.returncode}: {done.stderr[-2000:]}")
@@ -60,7 +60,7 @@ def main(asked: Path, made: Path) -> int:
     library = next(folder.glob("PyfTetWildWrapper*.so"))
     ftetwild = _loaded(library)
     if not _seeded(library):
-        return NO_SEED
+        return NO_SEED_EXIT_CODE
     np.savez(made, *ftetwild.tetrahedralize_mesh(*(a if a.ndim else a.item() for a in arguments)))
     return 0
 
@@ -83,7 +83,7 @@ def _seeded(library: Path) -> bool:
     """
     device, rand = (
         ctypes.cast(function, ctypes.c_void_p).value
-        for function in (ctypes.CDLL("libstdc++.so.6")[RANDOM_DEVICE], ctypes.CDLL(None)["rand"])
+        for function in (ctypes.CDLL("libstdc++.so.6")[RANDOM_DEVICE_SYMBOL], ctypes.CDLL(None)["rand"])
     )
     changed = 0
     for line in Path("/proc/self/maps").read_text().splitlines():

@@ -17,9 +17,9 @@ from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
 # Sensor frame to gripper frame, left and right: columns are the sensor's x, y, z.
-LOOKS = np.array([[[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[0, 0, -1], [-1, 0, 0], [0, 1, 0]]], dtype=float)
-SIDES = np.array([-1.0, 1.0])  # side of the left and the right finger along the gripper's x
-MARGIN = 1.25  # depth that the final mesh allows for, over the depth of the coarse first solve [-]
+FINGER_ROTATIONS = np.array([[[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[0, 0, -1], [-1, 0, 0], [0, 1, 0]]], dtype=float)
+FINGER_SIDES = np.array([-1.0, 1.0])  # side of the left and the right finger along the gripper's x
+GRASP_DEPTH_MARGIN = 1.25  # depth that the final mesh allows for, over the depth of the coarse first solve [-]
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ def first_touch(shape: Shape, gels: tuple[Pad, Pad], height: float, y: float, ya
 def finger(side: int, width: float) -> Array:
     """Pose (4, 4) of a sensor in the gripper's frame, the faces `width` [mm] apart; side 0 is left, 1 right."""
     out = np.eye(4)
-    out[:3, :3] = LOOKS[side]
-    out[0, 3] = SIDES[side] * width / 2
+    out[:3, :3] = FINGER_ROTATIONS[side]
+    out[0, 3] = FINGER_SIDES[side] * width / 2
     return out
 
 
@@ -92,6 +92,8 @@ def refined(grasp: GraspScene, poses: tuple[list[Array], list[Array]]) -> GraspS
     fingers = []
     for scene, path in zip(grasp.fingers, poses, strict=True):
         deeper = np.array(path)
-        deeper[:, 2, 3] -= (MARGIN - 1) * np.maximum(scene.start[2, 3] - deeper[:, 2, 3], 0.0) + scene.edge / 4
+        deeper[:, 2, 3] -= (GRASP_DEPTH_MARGIN - 1) * np.maximum(
+            scene.start[2, 3] - deeper[:, 2, 3], 0.0
+        ) + scene.edge / 4
         fingers.append(replace(scene, poses=deeper))
     return replace(grasp, fingers=(fingers[0], fingers[1]))

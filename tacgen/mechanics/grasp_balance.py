@@ -18,10 +18,10 @@ from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.frames import normal_force, trial
-from tacgen.mechanics.grasp import LOOKS, SIDES, GraspScene, finger, refined, seen_from
+from tacgen.mechanics.grasp import FINGER_ROTATIONS, FINGER_SIDES, GraspScene, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
-from tacgen.mechanics.options import DEFAULT, tighter
-from tacgen.mechanics.presolve import COARSE
+from tacgen.mechanics.options import DEFAULT_OPTIONS, tighter
+from tacgen.mechanics.presolve import PRESOLVE_EDGES_PER_THICKNESS
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.rigid_stiffness import stiffness
 from tacgen.mechanics.scene import Scene
@@ -39,14 +39,14 @@ class Mode(IntEnum):
     falling = 2
 
 
-BALANCE = 5e-4  # tolerance of forces, and of moments over the arm, over the grip force [-]; the check allows 1e-3
-TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 to 6
-SLIGHT = 1e-3  # smallest force scale, over the weight [-]
-UNRESISTED = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
+BALANCE_TOL = 5e-4  # tolerance of forces, and of moments over the arm, over the grip force [-]; the check allows 1e-3
+MAX_GRASP_TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 to 6
+MIN_FORCE_PER_WEIGHT = 1e-3  # smallest force scale, over the weight [-]
+MIN_STIFFNESS_RATIO = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
 # the error of a resultant is the sum of the nodal residuals, some ten times their 2-norm
-OPTIONS = tighter(DEFAULT)
-GUESSED = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
-SHORTEST = 1 / 4  # smallest fraction of a Newton step in the line search [-]
+GRASP_OPTIONS = tighter(DEFAULT_OPTIONS)
+GUESSED_DEPTH_RATIO = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
+MIN_GRASP_STEP = 1 / 4  # smallest fraction of a Newton step in the line search [-]
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Trial(NamedTuple):
 
 def problem_of(finger: Scene) -> Problem:
     """A finger's gel, meshed."""
-    return Problem.of(finger, mesh.of(finger), OPTIONS)
+    return Problem.of(finger, mesh.of(finger), GRASP_OPTIONS)
 
 
 def held(grasp: GraspScene, problems: tuple[Problem, Problem], *, tol: float | None = None) -> Iterator[Held]:
@@ -115,7 +115,7 @@ class Frame:
         self.gripper, part = grasp.gripper[index], grasp.part[index]
         self.width = float(begun.width + part * (grasp.width[index] - begun.width))
         self.force = float(begun.grip + part * (grasp.force[index] - begun.grip))
-        self.tol, self.balanced = tol if part == 1 else max(tol, 1e-2), max(BALANCE, tol / 10)
+        self.tol, self.balanced = tol if part == 1 else max(tol, 1e-2), max(BALANCE_TOL, tol / 10)
         self.load = np.zeros(6)
         self.load[:3] = self.gripper[:3, :3].T @ grasp.weight
         self.heaviness = float(np.linalg.norm(self.load))
@@ -155,7 +155,7 @@ class Frame:
         return float(np.linalg.norm(free.T @ ((at.wrench + self.load) / self.scale))) / self._least(at)
 
     def _least(self, at: Trial) -> float:
-        return max(at.grip, SLIGHT * self.heaviness, *(gel.least_force for gel, _ in at.gels))
+        return max(at.grip, MIN_FORCE_PER_WEIGHT * self.heaviness, *(gel.least_force for gel, _ in at.gels))
 
     def _free(self, mode: Mode) -> Array:
         """Orthonormal directions (6, k) in which the object is free to move."""
@@ -193,13 +193,13 @@ class Frame:
         if math.isnan(self.force) or self.last.grip > 0:
             return self.last.width
         touching = min(self.last.width, self.grasp.opening)
-        return touching - 2 * GUESSED * min(problem.thickness for problem in self.problems)
+        return touching - 2 * GUESSED_DEPTH_RATIO * min(problem.thickness for problem in self.problems)
 
     def _trial(self, pose: Array, width: float, near: Trial | None = None) -> Trial:
         """Both gels with the object there, from the last frame's history. Raises NotConverged."""
         self.trials += 1
-        if self.trials > TRIALS:
-            raise NotConverged(Failure.grasp, trials=TRIALS)
+        if self.trials > MAX_GRASP_TRIALS:
+            raise NotConverged(Failure.grasp, trials=MAX_GRASP_TRIALS)
         gels, wrench, normal, centre = [], np.zeros(6), 0.0, self._centre(pose)
         for side, problem in enumerate(self.problems):
             there, before = seen_from(side, width, pose), seen_from(side, self.last.width, self.last.pose)
@@ -207,7 +207,7 @@ class Frame:
             for task in trial(problem, self.last.gels[side][0], before, there, self.index, math.inf, close):
                 task.now = solve(problem, task.now)
             gels.append(task.now.reached())
-            state, look = gels[-1][1], LOOKS[side]
+            state, look = gels[-1][1], FINGER_ROTATIONS[side]
             force = state.traction_force @ look.T
             at = problem.contact.faces.at(state.x) @ look.T + finger(side, width)[:3, 3]
             wrench -= np.concatenate([force.sum((0, 1)), np.cross(at - centre, force).sum((0, 1))])
@@ -218,12 +218,12 @@ class Frame:
         """d(wrench on the object, grip)/d(motion of the object, width) (7, 7), scaled by `arm`."""
         out = np.zeros((7, 7))
         for side, problem in enumerate(self.problems):
-            look = np.kron(np.eye(2), LOOKS[side])
+            look = np.kron(np.eye(2), FINGER_ROTATIONS[side])
             centre = seen_from(side, at.width, at.pose)[:3, :3] @ self.grasp.centre
             centre = centre + seen_from(side, at.width, at.pose)[:3, 3]
             after, state = at.gels[side]
             K = stiffness(problem, self.last.gels[side][0], after, state.substeps, centre) @ look.T / self.scale
-            wider = -SIDES[side] * K[:, 0] / 2  # as the face goes away
+            wider = -FINGER_SIDES[side] * K[:, 0] / 2  # as the face goes away
             out[:6, :6] -= look @ K / self.scale[:, None]
             out[:6, 6] -= look @ wider / self.scale
             out[6, :6] -= K[2] / 2
@@ -255,7 +255,7 @@ class Frame:
                 A[-1, :-1], A[-1, -1] = slope * (J[6, :6] @ free), slope * J[6, 6]
             else:
                 A[:, -1] = 0.0
-            step = np.linalg.lstsq(A, -r, rcond=UNRESISTED)[0]
+            step = np.linalg.lstsq(A, -r, rcond=MIN_STIFFNESS_RATIO)[0]
             if not step.any():  # without contact the tangent is zero, and the pose would not change
                 if lowest < math.inf and not bounded and self.unborne(at) > 0:
                     return None
@@ -279,14 +279,14 @@ class Frame:
             try:
                 trial = self._trial(pose, width, at)
             except NotConverged:
-                if part <= SHORTEST or self.trials > TRIALS:
+                if part <= MIN_GRASP_STEP or self.trials > MAX_GRASP_TRIALS:
                     raise
                 return False, (at, r)
             there = self._residual(trial, free)
             less = np.linalg.norm(there) < np.linalg.norm(r) and (trial.grip > 0 or at.grip == 0)
             return bool(less), (trial, there)
 
-        _, last = backtrack(attempt, SHORTEST)
+        _, last = backtrack(attempt, MIN_GRASP_STEP)
         assert last is not None
         return last
 
@@ -302,7 +302,9 @@ def presolved(grasp: GraspScene) -> GraspScene:
     """The grasp with meshes that are fine where a solve on coarse ones has the object (see presolve); if that fails, at
     the poses found so far and at those of the recipe's movements."""
     rough = tuple(
-        replace(scene, edge=max(scene.edge, scene.gel.thickness / COARSE), dhat=max(scene.dhat, 0.05))
+        replace(
+            scene, edge=max(scene.edge, scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS), dhat=max(scene.dhat, 0.05)
+        )
         for scene in grasp.fingers
     )
     problems = tuple(Problem.of(scene, mesh.of(scene)) for scene in rough)

@@ -92,19 +92,19 @@ class Cholmod:
 
     def forward(self, b: Array) -> Array:
         """L^-1 P b, in the order of elimination, of b (n,) or (n, k)."""
-        return self._triangular(LOWER, b[self.order])
+        return self._triangular(CHOLMOD_L, b[self.order])
 
     def backward(self, y: Array) -> Array:
         """P^T L^-T y."""
         x = np.empty_like(y)
-        x[self.order] = self._triangular(UPPER, y)
+        x[self.order] = self._triangular(CHOLMOD_LT, y)
         return x
 
     def _triangular(self, system: int, b: Array) -> Array:
         """All columns of b at once: cvxopt would solve for one after the other, and read the factor for each."""
         library, common = _library()
         columns = np.asfortranarray(b.reshape(len(b), -1))
-        B = _Dense(*columns.shape, columns.size, len(b), columns.ctypes.data, 0, REAL, DOUBLE)
+        B = _Dense(*columns.shape, columns.size, len(b), columns.ctypes.data, 0, CHOLMOD_REAL, CHOLMOD_DOUBLE)
         X = library.cholmod_l_solve(system, ctypes.c_void_p(_address(self._F)), ctypes.byref(B), common)
         if not X:
             raise MemoryError
@@ -136,7 +136,7 @@ class Cholmod:
         return transposed.T
 
 
-LOWER, UPPER = 4, 5  # L x = b and L^T x = b, by CHOLMOD's numbers for them
+CHOLMOD_L, CHOLMOD_LT = 4, 5  # L x = b and L^T x = b, by CHOLMOD's numbers for them
 
 
 class _Factor(ctypes.Structure):
@@ -163,14 +163,17 @@ class _Dense(ctypes.Structure):
     ]
 
 
-REAL, DOUBLE = 1, 0  # xtype and dtype
-COMMON = 1 << 16  # [bytes], more than CHOLMOD's settings take in any version
+CHOLMOD_REAL, CHOLMOD_DOUBLE = 1, 0  # xtype and dtype
+CHOLMOD_COMMON_BYTES = 1 << 16  # [bytes], more than CHOLMOD's settings take in any version
 
 
 @cache
 def _library() -> tuple[ctypes.CDLL, Any]:
     """CHOLMOD as cvxopt has loaded it, and settings of our own."""
-    library, common = ctypes.CDLL(blas_kernels.cvxopt().cholmod.__file__), ctypes.create_string_buffer(COMMON)
+    library, common = (
+        ctypes.CDLL(blas_kernels.cvxopt().cholmod.__file__),
+        ctypes.create_string_buffer(CHOLMOD_COMMON_BYTES),
+    )
     library.cholmod_l_solve.restype = ctypes.POINTER(_Dense)
     library.cholmod_l_start(common)
     return library, common
@@ -233,7 +236,7 @@ class SuperLU:
 
 
 # fastest first, with the packages each needs
-SOLVERS: dict[str, tuple[Callable[[Pattern], Solver], tuple[str, ...]]] = {
+LINEAR_SOLVERS: dict[str, tuple[Callable[[Pattern], Solver], tuple[str, ...]]] = {
     "cholmod": (Cholmod, ("cvxopt", "pymetis")),
     "superlu": (SuperLU, ()),
 }
@@ -241,9 +244,9 @@ SOLVERS: dict[str, tuple[Callable[[Pattern], Solver], tuple[str, ...]]] = {
 
 def available() -> list[str]:
     """Names of the solvers that can be used here, fastest first."""
-    return [name for name, (_, needs) in SOLVERS.items() if all(importlib.util.find_spec(m) for m in needs)]
+    return [name for name, (_, needs) in LINEAR_SOLVERS.items() if all(importlib.util.find_spec(m) for m in needs)]
 
 
 def best(pattern: Pattern) -> Solver:
     """The fastest installed solver, prepared for this pattern."""
-    return SOLVERS[available()[0]][0](pattern)
+    return LINEAR_SOLVERS[available()[0]][0](pattern)

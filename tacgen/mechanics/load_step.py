@@ -17,8 +17,9 @@ from tacgen.mechanics.state import History
 from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside
 
 Array = np.ndarray
-INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
-STIFFER = 4.0  # factor of a barrier that does not suffice [-]
+# largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
+MAX_DEPTH_INSIDE = 0.45
+BARRIER_STIFFENING_FACTOR = 4.0  # factor of a barrier that does not suffice [-]
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,12 @@ class LoadStep:
         """With stiffer barriers of the contact or against folding after a solution."""
         bulk = self.bulk
         if folding:
-            bulk = replace(bulk, folding=tuple(b.stiffened(STIFFER) for b in bulk.folding))
-        return replace(self, coupled=solution.contact.stiffened(STIFFER) if contact else solution.contact, bulk=bulk)
+            bulk = replace(bulk, folding=tuple(b.stiffened(BARRIER_STIFFENING_FACTOR) for b in bulk.folding))
+        return replace(
+            self,
+            coupled=solution.contact.stiffened(BARRIER_STIFFENING_FACTOR) if contact else solution.contact,
+            bulk=bulk,
+        )
 
     def wrong(self, solution: Found) -> NotConverged | None:
         """The failure where the gel is far inside the indenter or has passed through it: from the middle of a thin wall
@@ -118,6 +123,6 @@ class LoadStep:
         reach, path = contact.shape.reach, (*solution.path, solution.x)
         if blocked_along(contact, history.pose, history.x, history.gap, path):
             return NotConverged(Failure.snaps if solution.damped else Failure.too_far)
-        if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
+        if (deep := depth_inside(contact, problem.elastic, solution.x)) > MAX_DEPTH_INSIDE * reach:
             return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
         return None

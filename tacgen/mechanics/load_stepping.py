@@ -17,7 +17,7 @@ from tacgen.mechanics.solve_state import Leg, SolveState, known
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
-TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
+MAX_TUNNELLING_HALVINGS = 12  # most halvings of a load step in which the indenter might tunnel through the gel
 
 
 def to_pose(
@@ -55,7 +55,7 @@ def halved(leg: Leg, failure: Failure, options: SolverOptions) -> tuple[Leg, ...
     """Two halves of a load step that failed; none if it has been halved as often as its failure allows."""
     farther = failure == Failure.too_far
     most = options.fold_halvings if failure in (Failure.folds, Failure.snaps) else options.halvings
-    if (leg.far == TOO_FAR if farther else leg.halved >= most) or failure == Failure.effort:
+    if (leg.far == MAX_TUNNELLING_HALVINGS if farther else leg.halved >= most) or failure == Failure.effort:
         return ()
     middle, times, far = between(leg.a, leg.b, leg.turn, 0.5), leg.halved + (not farther), leg.far + farther
     half = leg._replace(turn=leg.turn / 2, duration=leg.duration / 2, halved=times, far=far, budget=False)

@@ -12,7 +12,7 @@ from tacgen.base import array_cache
 from tacgen.base.errors import UserError
 from tacgen.fem.elements import boxes
 from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
-from tacgen.geometry.analytic_sdf import MAX_SLOPE
+from tacgen.geometry.analytic_sdf import MAX_SDF_SLOPE
 from tacgen.geometry.gel import GelBody, SolidGel
 from tacgen.geometry.pose import Pose, along, shortest_turn
 from tacgen.mechanics import tet_mesh
@@ -20,12 +20,12 @@ from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
 # nodes; and the edge asked of fTetWild over that of a hex [-], which returns edges 1.25 to 1.35 times as long
-TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
-MIN_ANGLE_DEG = 2.0  # smallest dihedral angle of a tet [deg]
+TET_MESHES = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
+MIN_DIHEDRAL_DEG = 2.0  # smallest dihedral angle of a tet [deg]
 MIN_SCALED_JACOBIAN = 0.01  # smallest scaled Jacobian of a tet [-]
-COARSEST = 11.1  # edge far from the contact over the edge under it [-]
-FACE_STEPS = 3  # points of the face an edge at which the path is looked at
-MAX_NODES = 500_000  # a larger stiffness matrix cannot be factorised in the memory of common machines
+MAX_HEX_EDGE_RATIO = 11.1  # edge far from the contact over the edge under it [-]
+FACE_POINTS_PER_EDGE = 3  # points of the face an edge at which the path is looked at
+MAX_MESH_NODES = 500_000  # a larger stiffness matrix cannot be factorised in the memory of common machines
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ def of(scene: Scene) -> GelMesh:
     """
     if scene.element == "hex":
         return build(scene.gel, footprint(scene), scene.edge)
-    nodes, edge = TETS[scene.element]
+    nodes, edge = TET_MESHES[scene.element]
     made = GelMesh(*tet_mesh.build(scene.gel, touched(scene), edge * scene.edge, nodes))
     angle = float(np.degrees(dihedral(made.points, made.cells).min()))
     least = float(scaled_jacobian(made.points, made.cells).min())
-    if angle < MIN_ANGLE_DEG or least < MIN_SCALED_JACOBIAN:
+    if angle < MIN_DIHEDRAL_DEG or least < MIN_SCALED_JACOBIAN:
         raise UserError(
             f"gel: its tets are too flat to compute with (smallest angle {angle:.2g} deg, scaled Jacobian {least:.1e}):"
             " the surface has thin walls or sharp folds"
@@ -74,7 +74,7 @@ def quality(gel: GelBody, mesh: GelMesh) -> dict[str, float | int | str]:
 @lru_cache(maxsize=2)
 def volume(gel: GelBody) -> float:
     """Volume of a gel [mm^3]; the scenes of a sensor share it, and a grasp has two."""
-    vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
+    vertices, triangles, _ = gel.surface(*tet_mesh.PROJECTED_SURFACE_RATIOS)
     return enclosed(vertices, triangles)
 
 
@@ -158,13 +158,15 @@ def axes(
     growth: float = 1.7,
     coarsest: float = 0.0,
 ) -> Axes:
-    """The grid of `build`, whose arguments these are. Raises UserError: it would have more than MAX_NODES nodes."""
-    coarsest = coarsest or COARSEST * edge
+    """The grid of `build`, whose arguments these are. Raises UserError: it would have more than MAX_MESH_NODES
+    nodes.
+    """
+    coarsest = coarsest or MAX_HEX_EDGE_RATIO * edge
     x0, x1, y0, y1 = footprint
     xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
     ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
     zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # maps depend on the width of cells, hardly on their height
-    _refuse_above(MAX_NODES, len(xs) * len(ys) * len(zs), edge, "nodes")
+    _refuse_above(MAX_MESH_NODES, len(xs) * len(ys) * len(zs), edge, "nodes")
     return Axes(xs, ys, zs, layer, _nearest(xs, x0, x1), _nearest(ys, y0, y1))
 
 
@@ -186,10 +188,10 @@ def build(
     Args:
         footprint: x0, x1, y0, y1 [mm] of the region that the trajectory can touch; its cells are `edge` wide.
         edge: edge under the contact [mm]. growth: largest ratio of neighbouring edges outside. coarsest: largest edge
-            [mm]; 0: COARSEST times `edge`.
+            [mm]; 0: MAX_HEX_EDGE_RATIO times `edge`.
 
     Raises:
-        UserError: that would be a mesh of more than MAX_NODES nodes.
+        UserError: that would be a mesh of more than MAX_MESH_NODES nodes.
     """
     return on(axes(gel, footprint, edge, growth=growth, coarsest=coarsest), gel)
 
@@ -233,8 +235,8 @@ def touched(scene: Scene) -> Array:
     Between frames the path is looked at in steps of half the indenter's thickness: a thin plate is wholly below the
     untouched face where it has been pressed deeper than it is thick.
     """
-    gel, step = scene.gel, scene.edge / FACE_STEPS
-    _refuse_above(60 * MAX_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
+    gel, step = scene.gel, scene.edge / FACE_POINTS_PER_EDGE
+    _refuse_above(60 * MAX_MESH_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
     x, y = (np.linspace(-size / 2, size / 2, math.ceil(size / step) + 1) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     z = gel.top(*grid.T)
@@ -250,7 +252,7 @@ def touched(scene: Scene) -> Array:
     for matrix in _dense(scene.start, poses, scene.shape.reach):
         pose = Pose.of(matrix)
         local = pose.local(corners)
-        bound -= MAX_SLOPE * np.linalg.norm(local - before, axis=1).max()
+        bound -= MAX_SDF_SLOPE * np.linalg.norm(local - before, axis=1).max()
         near = np.flatnonzero(~hit & (bound <= 0))
         bound[near] = scene.shape.value(pose.local(face[near]))
         hit[near[bound[near] < 0]] = True

@@ -40,7 +40,7 @@ class SolverOptions:
     slip: float = 1 / 8  # of dhat: slip over which friction builds up
 
 
-DEFAULT = SolverOptions()
+DEFAULT_OPTIONS = SolverOptions()
 
 
 def plain() -> SolverOptions:

@@ -1,8 +1,8 @@
 """The method as a transition table: what a kernel may return in each phase of a solve, and which phase comes next.
 
 Nothing is computed here. `solver.solve` calls the kernel of the present phase and looks up what follows; MECHANICS.md
-prints the table. Where a cycle of phases closes, it passes one of COUNTED, whose kernel ends it after a fixed number of
-rounds: so every solve ends.
+prints the table. Where a cycle of phases closes, it passes one of COUNTED_PHASES, whose kernel ends it after a fixed
+number of rounds: so every solve ends.
 """
 
 from enum import StrEnum
@@ -46,7 +46,7 @@ class Outcome(StrEnum):
 
 
 P = Phase
-TRANSITIONS: dict[Phase, dict[Outcome, Phase]] = {
+PHASE_TRANSITIONS: dict[Phase, dict[Outcome, Phase]] = {
     P.begin: {
         Outcome.ready: P.predict, Outcome.missing: P.renew, Outcome.apart: P.start, Outcome.not_condensed: P.start,
     },
@@ -64,8 +64,8 @@ TRANSITIONS: dict[Phase, dict[Outcome, Phase]] = {
     P.admit: {Outcome.more: P.begin, Outcome.ended: P.done, Outcome.stiffer: P.start, Outcome.failure: P.halve},
     P.halve: {Outcome.more: P.begin, Outcome.failure: P.failed},
 }  # fmt: skip
-FINAL = frozenset({P.done, P.failed})
-COUNTED = {  # phases whose kernel bounds how often it is passed, and by what
+FINAL_PHASES = frozenset({P.done, P.failed})
+COUNTED_PHASES = {  # phases whose kernel bounds how often it is passed, and by what
     P.step: "SolverOptions.max_newton and max_effort",
     P.contact: "SolverOptions.max_contact",
     P.damp: "DAMPING_MAX",
@@ -77,7 +77,7 @@ COUNTED = {  # phases whose kernel bounds how often it is passed, and by what
 def table() -> str:
     """TRANSITIONS for MECHANICS.md: a row for each phase, with what may come next."""
     rows = ["| phase | what its kernel finds, and the phase that follows |", "|---|---|"]
-    for phase, row in TRANSITIONS.items():
+    for phase, row in PHASE_TRANSITIONS.items():
         then = "; ".join(f"{outcome} -> **{after}**" for outcome, after in row.items())
-        rows.append(f"| {phase}{' *' if phase in COUNTED else ''} | {then} |")
+        rows.append(f"| {phase}{' *' if phase in COUNTED_PHASES else ''} | {then} |")
     return "\n".join(rows)

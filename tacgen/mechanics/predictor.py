@@ -18,8 +18,9 @@ from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
-TIE = 16.0  # stiffness of the springs between sticking points and the indenter, over normal force / dhat [-]
-PARALLEL = 0.9  # cosine between the motions of two steps, above which the second-order prediction is used [-]
+# stiffness of the springs between sticking points and the indenter, over normal force / dhat [-]
+STICKING_SPRING_STIFFNESS = 16.0
+MIN_STEP_COSINE = 0.9  # cosine between the motions of two steps, above which the second-order prediction is used [-]
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def predict(contact: Contact, tangent: Tangent, history: History, pose: Pose) ->
     error, before = history.predictor_error
     both = touching & before.any(-1)
     along, now, then = (float((a * b)[both].sum()) for a, b in ((motion, before), (motion, motion), (before, before)))
-    part = min(along / then, 1.0) if along > PARALLEL * np.sqrt(now * then) else 0.0
+    part = min(along / then, 1.0) if along > MIN_STEP_COSINE * np.sqrt(now * then) else 0.0
     return Prediction(first_order + part**2 * error, first_order, motion)
 
 
@@ -84,7 +85,7 @@ def tied(contact: Contact, tangent: Tangent, history: History) -> Tied | None:
     which = np.flatnonzero((history.normal_force > 0).any(1) & inside)
     if not which.size:
         return None
-    ties = TIE * history.normal_force[which, :, None] / contact.dhat
+    ties = STICKING_SPRING_STIFFNESS * history.normal_force[which, :, None] / contact.dhat
     dofs = condensed.dofs[condensed.local[faces.conn[which]]]
     K = condensed.schur.stiffness(ties[..., None] * np.eye(3), faces.N, dofs)
     try:

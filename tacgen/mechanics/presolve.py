@@ -8,10 +8,10 @@ import numpy as np
 from tacgen import mechanics
 from tacgen.mechanics import mesh
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.scene import FORCE_DEPTH, Scene
+from tacgen.mechanics.scene import MAX_FORCE_SEARCH_DEPTH, Scene
 
-HOPELESS = 2  # force over the largest on the coarse mesh, above which the scene is refused at once [-]
-COARSE = 5  # edges of the coarse mesh through the gel's thickness
+HOPELESS_FORCE_RATIO = 2  # force over the largest on the coarse mesh, above which the scene is refused at once [-]
+PRESOLVE_EDGES_PER_THICKNESS = 5  # edges of the coarse mesh through the gel's thickness
 
 
 def presolved(scene: Scene) -> Scene:
@@ -30,7 +30,7 @@ def presolved(scene: Scene) -> Scene:
         found = mechanics.states(coarse, mechanics.Problem.of(coarse, mesh.of(coarse)))
         heights = [state.pose[2, 3] for state in found]
     except NotConverged as error:
-        if error.failure != Failure.too_much or error.data["asked"] < HOPELESS * error.data["most"]:
+        if error.failure != Failure.too_much or error.data["asked"] < HOPELESS_FORCE_RATIO * error.data["most"]:
             return scene
         hopeless = error.data["index"], NotConverged(Failure.hopeless, why=error)
         return replace(scene, forced=replace(forced, below=np.zeros_like(forced.below), hopeless=hopeless))
@@ -46,7 +46,7 @@ def rough(scene: Scene) -> Scene:
 
 
 def _coarse(scene: Scene) -> float:
-    return max(scene.edge, scene.gel.thickness / COARSE)
+    return max(scene.edge, scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS)
 
 
 def refined(scene: Scene, heights: Sequence[float]) -> Scene:
@@ -57,7 +57,7 @@ def refined(scene: Scene, heights: Sequence[float]) -> Scene:
     for i in range(len(poses)):
         if np.isfinite(forced.asked[i]):
             shift = heights[i] - poses[i, 2, 3]
-            depth = forced.floor[i] + FORCE_DEPTH * scene.gel.thickness - heights[i]
+            depth = forced.floor[i] + MAX_FORCE_SEARCH_DEPTH * scene.gel.thickness - heights[i]
             below[i] = min(0.25 * depth + _coarse(scene) / 4, heights[i] - forced.floor[i])
         poses[i, 2, 3] += forced.carry[i] * shift
     return replace(scene, poses=poses, forced=replace(forced, below=below))

@@ -17,7 +17,7 @@ from tacgen.mechanics import linear_solvers
 from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import GelMesh
-from tacgen.mechanics.options import DEFAULT, SolverOptions, tighter
+from tacgen.mechanics.options import DEFAULT_OPTIONS, SolverOptions, tighter
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import History
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
 
 Array = np.ndarray
-USUAL_GAP = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
-FORCE_FLOOR = 1e-3  # smallest force scale over kappa dhat^2: forces that occur within the tolerances [-]
+USUAL_GAP_RATIO = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
+FORCE_FLOOR_RATIO = 1e-3  # smallest force scale over kappa dhat^2: forces that occur within the tolerances [-]
 # Contact points along a facet's side. Two partly cancel the stiffness of a coarse mesh: three make a ball 1 % and a
 # flat punch 3 % stiffer. More under an indenter thinner than that side, since friction stretches the gel to twice its
 # length, and where contact is narrower than the side and sharper than the mesh, since a tip passes between two points.
-POINTS, POINTS_IF_THIN, POINTS_IF_NARROW = 2, 3, 4
-NO_MATRIX = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)
+CONTACT_POINTS, CONTACT_POINTS_IF_THIN, CONTACT_POINTS_IF_NARROW = 2, 3, 4
+EMPTY_PATTERN = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,12 @@ class Problem:
     body: "Body | None" = None
     longest: float = math.inf
     viscous: dict[int, Viscoelastic] = field(default_factory=dict)  # by the layer's number
-    options: SolverOptions = DEFAULT
+    options: SolverOptions = DEFAULT_OPTIONS
 
     @classmethod
-    def of(cls, scene: Scene, mesh: GelMesh, options: SolverOptions = DEFAULT, held: Array | None = None) -> "Problem":
+    def of(
+        cls, scene: Scene, mesh: GelMesh, options: SolverOptions = DEFAULT_OPTIONS, held: Array | None = None
+    ) -> "Problem":
         """`held` (n, 3) bool: dofs that do not move; those of the bonded nodes unless given."""
         if held is None:
             held = np.zeros((len(mesh.points), 3), bool)
@@ -88,7 +90,7 @@ class Problem:
             Elastic(elements(mesh.points, some[layer == number]), each.law)
             for number, each in enumerate(scene.gel.layers)
         )
-        return cls(mesh, elastic, (), _contact(scene, mesh, None), NO_MATRIX, scene.friction, scene.edge)
+        return cls(mesh, elastic, (), _contact(scene, mesh, None), EMPTY_PATTERN, scene.friction, scene.edge)
 
     @cached_property
     def linear(self) -> linear_solvers.Solver:
@@ -122,11 +124,11 @@ class Problem:
 
     def rest(self, pose: Pose) -> History:
         """The untouched gel below an indenter at `pose`."""
-        x, offset = self.mesh.points, USUAL_GAP * self.contact.dhat
+        x, offset = self.mesh.points, USUAL_GAP_RATIO * self.contact.dhat
         force, normal, gap = self.contact.moved(pose, offset).pressure(x)
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)
-        least = FORCE_FLOOR * kappa * self.contact.dhat**2
+        least = FORCE_FLOOR_RATIO * kappa * self.contact.dhat**2
         internal = {number: layer.rest() for number, layer in self.viscous.items()}
         none, normal = np.zeros_like(force), normal @ pose.rotation
         return History(pose, x, offset, none, normal, at, gap, kappa, least, still, internal)
@@ -161,8 +163,8 @@ def points_along(scene: Scene) -> int:
     if scene.shape.smallest_radius < scene.edge:
         widths = [contact.width for contact, _ in scene.overlaps if contact.area]
         if widths and max(widths) < scene.edge:
-            return POINTS_IF_NARROW
-    return POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else POINTS
+            return CONTACT_POINTS_IF_NARROW
+    return CONTACT_POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else CONTACT_POINTS
 
 
 def _kappa(scene: Scene) -> float:

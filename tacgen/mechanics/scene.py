@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 Element = Literal["hex", "tet", "linear_tet"]
-FORCE_DEPTH = 0.8  # largest depth in the search for a force, over the gel's thickness [-]
+MAX_FORCE_SEARCH_DEPTH = 0.8  # largest depth in the search for a force, over the gel's thickness [-]
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,13 @@ from tacgen.mechanics.contact_slopes import ContactSlopes, dot
 from tacgen.mechanics.coupled import CoupledContact, onset
 from tacgen.mechanics.exact_tangent import everywhere, free_columns, solver
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
-from tacgen.mechanics.predictor import TIE, tied
+from tacgen.mechanics.predictor import STICKING_SPRING_STIFFNESS, tied
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
-SMALL = 1e-3  # difference of a parameter over its scale, for derivatives of the laws' forces [-]
-TINY = 1e-5  # largest difference of positions over the edge, for derivatives of forces [-]
+PARAMETER_DIFFERENCE = 1e-3  # difference of a parameter over its scale, for derivatives of the laws' forces [-]
+POSITION_DIFFERENCE = 1e-5  # largest difference of positions over the edge, for derivatives of forces [-]
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class Sensitivity:
         if not self._tangent.usable or (springs := tied(self._contact, self._tangent, before)) is None:
             return np.zeros_like(was.x)
         on = np.flatnonzero((before.normal_force > 0).any(1))
-        faces, ties = self._contact.faces.only(on), TIE / self._contact.dhat
+        faces, ties = self._contact.faces.only(on), STICKING_SPRING_STIFFNESS / self._contact.dhat
         assert after.predictor_error is not None
         error, motion = after.predictor_error
         step = after.x - error - before.x
@@ -158,7 +158,7 @@ class Sensitivity:
         """How the tangent before the step, times u (n, 3), changes with the parameters (k, n, 3) [N]: a mixed second
         difference of the bulk's forces."""
         problem, x, slopes = self._problem, self._before.x, []
-        far = TINY * problem.edge / max(float(np.abs(u).max()), 1e-300)
+        far = POSITION_DIFFERENCE * problem.edge / max(float(np.abs(u).max()), 1e-300)
         folds = any(barrier.evaluate(x).cells.size for barrier in problem.folding)
 
         def times(laws: Sequence[Law], x: Array) -> Array:
@@ -169,7 +169,7 @@ class Sensitivity:
         laws = [part.law for part in problem.elastic]
         here = times(laws, x)
         for parameter, slope in zip(self._parameters, self._slopes.x, strict=True):
-            small = SMALL / 10 * parameter.scale
+            small = PARAMETER_DIFFERENCE / 10 * parameter.scale
             changed = laws if parameter.laws is None else parameter.laws(small)
             slopes.append((times(changed, x + small * slope) - here) / small)
         return np.stack(slopes)
@@ -207,7 +207,7 @@ class Sensitivity:
             parts = zip(self._problem.elastic, laws(p), strict=True)
             return np.asarray(sum(replace(part, law=law).gradient(x) for part, law in parts))
 
-        small = SMALL * parameter.scale
+        small = PARAMETER_DIFFERENCE * parameter.scale
         return np.asarray((forces(small) - forces(-small)) / (2 * small))
 
 

@@ -15,7 +15,7 @@ from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 T = TypeVar("T")
-RATE_GUESS = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
+INITIAL_CONTRACTION = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
 
 
 def known(part: T | None) -> T:
@@ -75,7 +75,7 @@ class BulkIterate:
     contact: CoupledContact
     new: bool
     residual: float = np.inf  # of the contact force
-    rate: float = RATE_GUESS
+    rate: float = INITIAL_CONTRACTION
     damping: float = 0.0  # over the stiffness at rest [-]
     steps: int = 0
     path: tuple[Array, ...] = ()  # x (n, 3) after each step, from the first that needed damping on

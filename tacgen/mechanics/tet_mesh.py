@@ -17,15 +17,17 @@ from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import ftetwild
 
 Array = np.ndarray
-CACHE_VERSION = 2  # of the meshes in the cache
+TET_CACHE_VERSION = 2  # of the meshes in the cache
 EDGE_GROWTH = 0.4  # growth of the edge per distance from the touched region [-]
-COARSEST = 7.4  # edge far from the contact over the edge under it [-]
-ENVELOPE = 1e-3  # largest distance of fTetWild's mesh from the surface, over the box's diagonal [-]; projected later
+MAX_TET_EDGE_RATIO = 7.4  # edge far from the contact over the edge under it [-]
+# largest distance of fTetWild's mesh from the surface, over the box's diagonal [-]; projected later
+ENVELOPE_RATIO = 1e-3
 # step and sag of the gel's surface, over the longer side [-]
-COARSE = (0.04, 4e-3)  # for the surface that is meshed
-FINE = (0.012, 4e-6)  # for the surface onto which nodes are projected
-MAX_ENERGY = 10.0  # AMIPS energy of the worst tet at which fTetWild stops [-]
-MIN_NODAL_VOLUME = 0.1  # at a tet's nodes and of its corners, over that before projection [-]; below, nodes go back
+MESHED_SURFACE_RATIOS = (0.04, 4e-3)  # for the surface that is meshed
+PROJECTED_SURFACE_RATIOS = (0.012, 4e-6)  # for the surface onto which nodes are projected
+MAX_AMIPS_ENERGY = 10.0  # AMIPS energy of the worst tet at which fTetWild stops [-]
+# at a tet's nodes and of its corners, over that before projection [-]; below, nodes go back
+MIN_NODAL_VOLUME_RATIO = 0.1
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
 
 
@@ -35,10 +37,10 @@ def build(gel: GelBody, touched: Array, edge: float, nodes: int) -> tuple[Array,
     Args:
         touched: points (n, 3) [mm] of the untouched face that the indenter can reach; edges there are about `edge`.
     """
-    vertices, triangles, between = gel.surface(*COARSE)
+    vertices, triangles, between = gel.surface(*MESHED_SURFACE_RATIOS)
     low, high = vertices.min(0), vertices.max(0)
-    reach = ENVELOPE * float(np.linalg.norm(high - low))
-    coarsest = COARSEST * edge
+    reach = ENVELOPE_RATIO * float(np.linalg.norm(high - low))
+    coarsest = MAX_TET_EDGE_RATIO * edge
     background = _background(low, high, touched, edge, coarsest)
     asked = (
         vertices,
@@ -46,10 +48,10 @@ def build(gel: GelBody, touched: Array, edge: float, nodes: int) -> tuple[Array,
         np.concatenate([triangles[:0], *between]),
         *background,
         coarsest,
-        ENVELOPE,
-        MAX_ENERGY,
+        ENVELOPE_RATIO,
+        MAX_AMIPS_ENERGY,
     )
-    key = array_cache.digest((CACHE_VERSION, version("pytetwild"), *asked))
+    key = array_cache.digest((TET_CACHE_VERSION, version("pytetwild"), *asked))
     points, tets = array_cache.kept("meshes", key, lambda: _tetrahedralise(*asked))
     if not len(tets):
         raise UserError("gel: no mesh of tetrahedra could be made inside its surface")
@@ -137,7 +139,7 @@ def _patches(gel: GelBody, points: Array, triangles: Array, reach: float) -> dic
 def _on_true_surface(gel: GelBody, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:
     """Points with the nodes of boundary and interfaces projected onto the true surfaces, except where a tet inverts."""
     new = points.copy()
-    vertices, triangles, _ = gel.surface(*FINE)
+    vertices, triangles, _ = gel.surface(*PROJECTED_SURFACE_RATIOS)
     true = _patches(gel, vertices, triangles, 1e-6)
     for name in ("sides", "bonded"):
         there = np.unique(facets[name])
@@ -157,7 +159,7 @@ def _without_folds(new: Array, old: Array, tets: Array) -> Array:
     for corners_too in (False, True):
         for _ in range(10):
             curved, flat = nodal_volume(new, tets).min(1), nodal_volume(new, tets[:, :4]).min(1)
-            bad = tets[np.minimum(curved, flat) <= MIN_NODAL_VOLUME * straight]
+            bad = tets[np.minimum(curved, flat) <= MIN_NODAL_VOLUME_RATIO * straight]
             if not len(bad):
                 return new
             if corners_too:

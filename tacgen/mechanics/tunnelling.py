@@ -12,9 +12,11 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 
 Array = np.ndarray
-DEEPEST = 0.75  # depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
-BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
-TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
+# depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
+MAX_DEPTH_PER_REACH = 0.75
+OVERLAP_INTERVALS = 6  # intervals along a facet's side: the overlap is sampled at their ends
+# -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
+MIN_OPPOSED_COSINE = 0.25
 
 
 def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) -> bool:
@@ -37,7 +39,7 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
         inside = d + contact.offset < 0
         entry[inside & ~entered] = n[inside & ~entered]
         entered |= inside
-        if d.min() < -DEEPEST * reach or (entered & ((entry * n).sum(1) < -TURN)).any():
+        if d.min() < -MAX_DEPTH_PER_REACH * reach or (entered & ((entry * n).sum(1) < -MIN_OPPOSED_COSINE)).any():
             return True
         entered &= inside
     return False
@@ -81,7 +83,7 @@ def overlap(contact: Contact, x: Array) -> float:
 @cache
 def _grid(nodes: int) -> Array:
     """Shape functions (p, a) on a grid over a facet."""
-    u, v = np.stack(np.meshgrid(*[np.linspace(0, 1, BETWEEN + 1)] * 2), -1).reshape(-1, 2).T
+    u, v = np.stack(np.meshgrid(*[np.linspace(0, 1, OVERLAP_INTERVALS + 1)] * 2), -1).reshape(-1, 2).T
     if nodes == 4:
         return np.stack([(1 + a * (2 * u - 1)) * (1 + b * (2 * v - 1)) / 4 for a, b in QUAD_CORNERS], -1)
     inside = u + v < 1 + 1e-9

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-LANES = 64  # points that are projected together
+PROJECTION_BATCH = 64  # points that are projected together
 
 
 @dataclass(frozen=True)
@@ -143,10 +143,10 @@ def _project(
     axis: "Floats",
 ) -> "Floats":  # fmt: skip
     """Pixels (n, 2) of points (n, 3) through a pinhole at x, y; nan of one at or behind it."""
-    out, slope, rho = np.empty((len(points), 2)), np.empty(LANES), np.empty(LANES)
-    work = np.empty((len(thicknesses) + 3, LANES))
-    for start in range(0, len(points), LANES):
-        some = points[start : start + LANES]
+    out, slope, rho = np.empty((len(points), 2)), np.empty(PROJECTION_BATCH), np.empty(PROJECTION_BATCH)
+    work = np.empty((len(thicknesses) + 3, PROJECTION_BATCH))
+    for start in range(0, len(points), PROJECTION_BATCH):
+        some = points[start : start + PROJECTION_BATCH]
         for j in range(len(some)):
             rho[j] = np.sqrt((some[j, 0] - x) ** 2 + (some[j, 1] - y) ** 2)
         _slopes(rho, some[:, 2], thicknesses, indices, slope, work)
@@ -167,7 +167,7 @@ def _slopes(rho: "Floats", z: "Floats", thicknesses: "Floats", indices: "Floats"
 
     Newton's method on the lateral travel, which is increasing and concave in x: from a start at or below the root, such
     as the paraxial slope, it converges monotonically without a safeguard. Loops over points are the inner ones, which
-    the compiler turns into vector instructions. `work` (layers + 3, LANES) is overwritten.
+    the compiler turns into vector instructions. `work` (layers + 3, PROJECTION_BATCH) is overwritten.
     """
     n, last, whole = len(z), len(thicknesses) - 1, 0.0
     for thickness in thicknesses:

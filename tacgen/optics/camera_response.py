@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-CELLS = 4096  # of the light from 0 to 1: fine enough for no more than one step between counts in each
-QUANTILES = 1 << 16  # of the normal distribution, from which noise is drawn
+RESPONSE_CELLS = 4096  # of the light from 0 to 1: fine enough for no more than one step between counts in each
+NOISE_QUANTILES = 1 << 16  # of the normal distribution, from which noise is drawn
 
 
 def vignette(camera: "Camera") -> "Floats":
@@ -115,29 +115,33 @@ def mix(camera: "Camera", gain: "Floats | None" = None) -> "Floats":
 
 def drawn(random: np.random.Generator, height: int, width: int) -> "NDArray[np.uint16]":
     """Numbers of the quantiles (height, 3 width) that are a picture's noise."""
-    return random.integers(0, QUANTILES, (height, 3 * width), np.uint16)
+    return random.integers(0, NOISE_QUANTILES, (height, 3 * width), np.uint16)
 
 
 @lru_cache(maxsize=1)
 def quantiles() -> "NDArray[np.float32]":
-    """Values (QUANTILES,) of which each is as likely as any other under the normal distribution of mean 0 and variance
-    1: one of them, chosen at random, is a normal number (inverse transform sampling, Devroye 1986, section II.2)."""
+    """Values (NOISE_QUANTILES,) of which each is as likely as any other under the normal distribution of mean 0 and
+    variance 1: one of them, chosen at random, is a normal number (inverse transform sampling, Devroye 1986, section
+    II.2).
+    """
     from scipy.special import ndtri
 
-    middle = ndtri((np.arange(QUANTILES) + 0.5) / QUANTILES)
+    middle = ndtri((np.arange(NOISE_QUANTILES) + 0.5) / NOISE_QUANTILES)
     return np.asarray(middle / np.sqrt(np.mean(middle**2)), np.float32)
 
 
 @lru_cache(maxsize=2)
 def steps(response: str) -> "tuple[Floats, NDArray[np.uint8]]":
-    """The response in CELLS equal cells of light from 0 on: the least light that is rounded to the count after that at
-    a cell's lower end, infinite for the last, by bisection of the curve; and these counts; (CELLS + 1,) each."""
+    """The response in RESPONSE_CELLS equal cells of light from 0 on: the least light that is rounded to the count after
+    that at a cell's lower end, infinite for the last, by bisection of the curve; and these counts; (RESPONSE_CELLS +
+    1,) each.
+    """
     count, low, most = np.arange(256), np.zeros(256), np.ones(256)
     for _ in range(80):  # halvings: a double has 53 bits, and the darkest step is above 2^-13
         middle = (low + most) / 2
         above = np.round(255.0 * _curve(middle, response)) >= count
         low, most = np.where(above, low, middle), np.where(above, middle, most)
-    first = np.searchsorted(most[1:], np.arange(CELLS + 1) / CELLS, side="right")
+    first = np.searchsorted(most[1:], np.arange(RESPONSE_CELLS + 1) / RESPONSE_CELLS, side="right")
     return np.append(most, np.inf)[first + 1], first.astype(np.uint8)
 
 
@@ -174,6 +178,6 @@ def _counted(
         for i in range(3 * width):
             light = row[i] if row[i] > 0.0 else 0.0  # of nan, too
             light = light if light < 1.0 else 1.0
-            cell = np.uint32(light * CELLS)
+            cell = np.uint32(light * RESPONSE_CELLS)
             out[y, i] = counts[cell] + np.uint8(light >= steps[cell])
     return out.reshape(height, width, 3)

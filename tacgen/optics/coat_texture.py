@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-FINEST = 0.01  # least distance of the field's nodes [mm]: a few million for a pad
-LEAST = 0.25  # size and depth of the least mark over those of the largest
+MIN_TEXTURE_SPACING_MM = 0.01  # least distance of the field's nodes [mm]: a few million for a pad
+MIN_MARK_RATIO = 0.25  # size and depth of the least mark over those of the largest
 
 
 def texture(coating: "Coating", size: tuple[float, float], pixel: float) -> "Floats | None":
@@ -30,7 +30,7 @@ def texture(coating: "Coating", size: tuple[float, float], pixel: float) -> "Flo
     """
     if coating.grain is None and coating.marks is None and coating.wear is None:
         return None
-    columns, rows = (max(2, round(side / max(pixel / 2, FINEST))) for side in size)
+    columns, rows = (max(2, round(side / max(pixel / 2, MIN_TEXTURE_SPACING_MM))) for side in size)
     x, y = ((np.arange(n) + 0.5) / n * side - side / 2 for n, side in zip((columns, rows), size, strict=True))
     field = np.ones((rows, columns))
     if coating.grain is not None:
@@ -69,10 +69,10 @@ def _mark(field: "Floats", marks: "Marks", x: "Floats", y: "Floats", size: tuple
     for kind, (count, width, length) in enumerate(kinds):
         random = np.random.default_rng((marks.seed, kind)).random((count, 6))  # more marks leave the first ones
         for across, down, turn, large, deep, kind_of in random:
-            share = LEAST + (1 - LEAST) * large
+            share = MIN_MARK_RATIO + (1 - MIN_MARK_RATIO) * large
             wide, long = (width, length * share) if length else (width * share, 0.0)
             middle = (across - 0.5) * size[0], (down - 0.5) * size[1]
-            change = marks.depth * (LEAST + (1 - LEAST) * deep)
+            change = marks.depth * (MIN_MARK_RATIO + (1 - MIN_MARK_RATIO) * deep)
             bright = not length and kind_of < marks.bright
             reach = (long + wide) / 2 + pixel
             there = np.ix_(np.abs(y - middle[1]) < reach, np.abs(x - middle[0]) < reach)

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-METAL = 0.9  # reflectance of the metallic part, that of aluminium in the visible range [-]
+METAL_REFLECTANCE = 0.9  # reflectance of the metallic part, that of aluminium in the visible range [-]
 
 
 def bsdf(coating: "Coating") -> dict[str, Any]:
-    """Diffuse plus a rough (GGX) metallic part of constant reflectance METAL, mixed by `specular`."""
+    """Diffuse plus a rough (GGX) metallic part of constant reflectance METAL_REFLECTANCE, mixed by `specular`."""
     if coating.specular == 0.0:
         return diffuse(coating.albedo)
     return {
@@ -31,14 +31,14 @@ def bsdf(coating: "Coating") -> dict[str, Any]:
             "material": "none",
             "distribution": "ggx",
             "alpha": coating.roughness,
-            "specular_reflectance": {"type": "rgb", "value": [METAL] * 3},
+            "specular_reflectance": {"type": "rgb", "value": [METAL_REFLECTANCE] * 3},
         },
     }
 
 
 def white(coating: "Coating") -> "Floats":
     """Total reflectance of the coating (3,)."""
-    return np.asarray((1 - coating.specular) * np.array(coating.albedo) + coating.specular * METAL)
+    return np.asarray((1 - coating.specular) * np.array(coating.albedo) + coating.specular * METAL_REFLECTANCE)
 
 
 def dotted(coat: dict[str, Any], markers: "Markers", mask: "Floats") -> dict[str, Any]:

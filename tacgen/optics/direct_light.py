@@ -76,7 +76,7 @@ class Direct:
         """Radiance of which each strip gives a part by a white Lambertian coat and by a rough mirror, (strips, 3) each;
         where a glossy coat has dots (strips, 6), since paint reflects the light that arrives."""
         coat, led = self.sensor.coating, np.array([led.light for led in self.sensor.leds])
-        matt, gloss = (1 - coat.specular) * led * coat.albedo, coat.specular * coating.METAL * led
+        matt, gloss = (1 - coat.specular) * led * coat.albedo, coat.specular * coating.METAL_REFLECTANCE * led
         return (np.hstack([matt, led]), np.hstack([gloss, 0 * led])) if self._dotted else (matt, gloss)
 
     @property

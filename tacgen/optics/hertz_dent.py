@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SHALLOW = 0.95  # largest contact radius over the ball's radius [-]
-REACH = 0.1  # decay length of the depression around the contact, over the gel's thickness [-]
-STEEPEST = 0.8  # largest slope at the contact's rim [-]
+MAX_CONTACT_RADIUS_RATIO = 0.95  # largest contact radius over the ball's radius [-]
+DECAY_LENGTH_RATIO = 0.1  # decay length of the depression around the contact, over the gel's thickness [-]
+MAX_RIM_SLOPE = 0.8  # largest slope at the contact's rim [-]
 
 
 @dataclass(frozen=True)
@@ -51,24 +51,29 @@ class BallDent:
         gel = sum(camera.stack.thicknesses[2:] or camera.stack.thicknesses[1:])  # after the plate, if there is one
         contact, center = contact_px * camera.mm_per_px, np.zeros(2)
         for _ in range(5):  # the circle lies below the untouched face, where everything looks larger
-            plane = face.at(center[None])[0, 2] - cls(radius, min(contact, SHALLOW * radius), thickness=gel).rim
+            plane = (
+                face.at(center[None])[0, 2]
+                - cls(radius, min(contact, MAX_CONTACT_RADIUS_RATIO * radius), thickness=gel).rim
+            )
             around = contact_px * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]]) / [1, camera.aspect]
             origin, direction = camera.rays(around + center_px)
             hit = (origin + direction * ((plane - origin[:, 2]) / direction[:, 2])[:, None])[:, :2]
             contact, center = float(np.linalg.norm(hit - hit.mean(axis=0), axis=1).mean()), hit.mean(axis=0)
-        return cls(radius, min(contact, SHALLOW * radius), (float(center[0]), float(center[1])), face, gel)
+        return cls(
+            radius, min(contact, MAX_CONTACT_RADIUS_RATIO * radius), (float(center[0]), float(center[1])), face, gel
+        )
 
     @property
     def rim(self) -> float:
         """How far the contact circle lies below the untouched face [mm]."""
         slope = self.contact / np.sqrt(self.radius**2 - self.contact**2)
-        return float(REACH * self.thickness * min(slope, STEEPEST))
+        return float(DECAY_LENGTH_RATIO * self.thickness * min(slope, MAX_RIM_SLOPE))
 
     def at(self, xy: Any) -> "Floats":
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]; points move along z only."""
         xy = np.asarray(xy, dtype=np.float64)
         r = np.hypot(xy[:, 0] - self.center[0], xy[:, 1] - self.center[1])
         a, ball = self.contact, self.radius
-        dip = self.rim * np.exp(-np.maximum(r - a, 0) / (REACH * self.thickness))
+        dip = self.rim * np.exp(-np.maximum(r - a, 0) / (DECAY_LENGTH_RATIO * self.thickness))
         cap = np.sqrt(np.maximum(ball**2 - np.minimum(r, a) ** 2, 0)) - np.sqrt(ball**2 - a * a)
         return np.asarray(self.face.at(xy) - np.column_stack([0 * xy, dip + cap]))

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-ARC = 16  # number of walls around a semicircle
-WALL_RISE = 3.0  # height of the walls above the coated face, so that no light leaks past a bulging gel [mm]
+SEMICIRCLE_WALLS = 16  # number of walls around a semicircle
+WALL_RISE_MM = 3.0  # height of the walls above the coated face, so that no light leaks past a bulging gel [mm]
 
 
 def frame(normal: "Sequence[float]", up: "Sequence[float]") -> Floats:
@@ -43,8 +43,8 @@ def strips(sensor: "LitSensor") -> Floats:
 
 
 def outline(sensor: "LitSensor") -> Floats:
-    """Corners (n, 2) [mm] of the housing around the pad, from +x to +y; a semicircle in ARC pieces."""
-    return np.asarray(sensor.gel.pad.housing(sensor.walls.margin_mm).walls(ARC))
+    """Corners (n, 2) [mm] of the housing around the pad, from +x to +y; a semicircle in SEMICIRCLE_WALLS pieces."""
+    return np.asarray(sensor.gel.pad.housing(sensor.walls.margin_mm).walls(SEMICIRCLE_WALLS))
 
 
 def bottom_depth(sensor: "LitSensor") -> float:

@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-COAT_SPACING = 1.4  # distance between the centres of the coating's patches [mm]
-WALL_SPACING = 2.2  # the same for the walls [mm]
-TILT = 0.6  # change of a normal's x or y in the difference quotients of the polynomial [-]
-FINER = 4  # refinement of the patches by cubic splines, before linear interpolation to pixels
-TERMS = 5  # terms of the polynomial in the change of the normal: 1, x, y, x^2, y^2
+COAT_PATCH_SPACING_MM = 1.4  # distance between the centres of the coating's patches [mm]
+WALL_PATCH_SPACING_MM = 2.2  # the same for the walls [mm]
+NORMAL_DIFFERENCE = 0.6  # change of a normal's x or y in the difference quotients of the polynomial [-]
+PATCH_REFINEMENT = 4  # refinement of the patches by cubic splines, before linear interpolation to pixels
+NORMAL_TERMS = 5  # terms of the polynomial in the change of the normal: 1, x, y, x^2, y^2
 
 
 @dataclass(frozen=True)
 class Glow:
     """Interreflected radiance at each of the camera's samples, as a function of the normal there."""
 
-    terms: "NDArray[np.float32]"  # radiance (samples, TERMS, 3)
+    terms: "NDArray[np.float32]"  # radiance (samples, NORMAL_TERMS, 3)
     untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
 
     def at(self, normal: "Floats", index: "NDArray[np.int64] | None" = None) -> "Floats":
@@ -51,14 +51,14 @@ class Glow:
 def _turned(
     terms: "NDArray[np.float32]", normal: "Floats", untouched: "Floats", index: "NDArray[np.int64]"
 ) -> "Floats":
-    """Glow.at, of terms (samples, TERMS, 3) and the sideways parts of untouched normals (samples, 2)."""
+    """Glow.at, of terms (samples, NORMAL_TERMS, 3) and the sideways parts of untouched normals (samples, 2)."""
     out = np.zeros((len(index), 3))
     for k in range(len(index)):
         i = index[k]
         if np.isnan(normal[i, 2]):
             continue
-        dx = min(max(normal[i, 0] - untouched[i, 0], -1.5 * TILT), 1.5 * TILT)
-        dy = min(max(normal[i, 1] - untouched[i, 1], -1.5 * TILT), 1.5 * TILT)
+        dx = min(max(normal[i, 0] - untouched[i, 0], -1.5 * NORMAL_DIFFERENCE), 1.5 * NORMAL_DIFFERENCE)
+        dy = min(max(normal[i, 1] - untouched[i, 1], -1.5 * NORMAL_DIFFERENCE), 1.5 * NORMAL_DIFFERENCE)
         for c in range(3):
             one, x, y, xx, yy = terms[i, 0, c], terms[i, 1, c], terms[i, 2, c], terms[i, 3, c], terms[i, 4, c]
             out[k, c] = max(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0)
@@ -70,7 +70,7 @@ class Radiosity:
 
     def __init__(self, sensor: "LitSensor", untouched: "Surface | None" = None) -> None:
         """Independent of the LEDs; `untouched` is the face at rest, None: that of the sensor's gel."""
-        self.sheet = Sheet.over(sensor.gel, COAT_SPACING)
+        self.sheet = Sheet.over(sensor.gel, COAT_PATCH_SPACING_MM)
         self._face = untouched or Untouched.of(sensor.gel)
         nodes = self.sheet.at(self._face)
         level = np.ascontiguousarray(nodes[:, 2].reshape(self.sheet.shape))
@@ -78,8 +78,8 @@ class Radiosity:
         self._coat = len(nodes)
         facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
         share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
-        top = housing.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coating hides the rest
-        walls, inward, pieces = housing.wall_patches(sensor, top, WALL_SPACING)
+        top = housing.WALL_RISE_MM if sensor.walls.margin_mm else float(level.min())  # the coating hides the rest
+        walls, inward, pieces = housing.wall_patches(sensor, top, WALL_PATCH_SPACING_MM)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
         every = np.arange(len(area))
@@ -88,7 +88,12 @@ class Radiosity:
         self._form_factors = self._gather(self._patches, len(area))
         self._factors: dict[tuple[float, float], tuple[Floats, tuple[Floats, NDArray[np.int32]]]] = {}
         turned = []
-        for by in ((TILT, 0.0), (-TILT, 0.0), (0.0, TILT), (0.0, -TILT)):
+        for by in (
+            (NORMAL_DIFFERENCE, 0.0),
+            (-NORMAL_DIFFERENCE, 0.0),
+            (0.0, NORMAL_DIFFERENCE),
+            (0.0, -NORMAL_DIFFERENCE),
+        ):
             side = facing[:, :2] + by
             side *= np.minimum(1.0, 0.95 / np.linalg.norm(side, axis=1, keepdims=True))
             normals = np.column_stack([side, -np.sqrt(1 - (side**2).sum(axis=1))])
@@ -96,16 +101,18 @@ class Radiosity:
         level = self._form_factors[: self._coat]
         right, left, down, up = turned
         self._form_factor_terms = np.array(
-            [level, (right - left) / (2 * TILT), (down - up) / (2 * TILT)]
-            + [(a + b - 2 * level) / (2 * TILT**2) for a, b in ((right, left), (down, up))]
-        )  # (TERMS, coat patches, patches)
+            [level, (right - left) / (2 * NORMAL_DIFFERENCE), (down - up) / (2 * NORMAL_DIFFERENCE)]
+            + [(a + b - 2 * level) / (2 * NORMAL_DIFFERENCE**2) for a, b in ((right, left), (down, up))]
+        )  # (NORMAL_TERMS, coat patches, patches)
 
     def added(self, sensor: "LitSensor", points: strip_light.StripPoints) -> "Floats":
-        """Interreflected radiance (coating patches, leds, TERMS, 3) in the gel, per unit radiance of each LED."""
+        """Interreflected radiance (coating patches, leds, NORMAL_TERMS, 3) in the gel, per unit radiance of each
+        LED.
+        """
         coat, first = sensor.coating, self._gather(points, len(sensor.leds), sensor.leds)
         out: dict[float, Floats] = {}
         for albedo in set(coat.albedo):
-            reflected = (1 - coat.specular) * albedo + coat.specular * coating.METAL
+            reflected = (1 - coat.specular) * albedo + coat.specular * coating.METAL_REFLECTANCE
             total = self._all_reflections(reflected, sensor.walls.albedo)(first)
             out[albedo] = reflected * np.moveaxis(self._form_factor_terms @ total, 0, -1)
         return np.stack([out[albedo] for albedo in coat.albedo], axis=-1)
@@ -122,7 +129,7 @@ class Radiosity:
         return lambda first: np.asarray(lu_solve(factor, rho * first))
 
     def glow(self, values: "Floats", view: "CameraView") -> Glow:
-        """Values (coat patches, TERMS, 3) as the camera sees them; off the pad its edge."""
+        """Values (coat patches, NORMAL_TERMS, 3) as the camera sees them; off the pad its edge."""
         from scipy.ndimage import map_coordinates
 
         at = view.look(self._face)
@@ -134,7 +141,7 @@ class Radiosity:
         terms, passed = np.empty((len(rest), count), np.float32), view.transmission()
         for c in range(count):
             terms[:, c] = passed * map_coordinates(grid[..., c], grid_at, order=1)
-        shaped = terms.reshape(len(terms), TERMS, -1)
+        shaped = terms.reshape(len(terms), NORMAL_TERMS, -1)
         return Glow(np.repeat(shaped, 3, axis=2) if alike else shaped, normal)
 
     def _gather(
@@ -156,12 +163,12 @@ class Radiosity:
 
 
 def finer(coarse: "Floats") -> "Floats":
-    """Values (rows, columns, n) on a grid FINER times as dense, by cubic splines limited to the range of the patches
-    around: beside a patch very close to an LED they would fall below 0 and show as dark spots."""
+    """Values (rows, columns, n) on a grid PATCH_REFINEMENT times as dense, by cubic splines limited to the range of the
+    patches around: beside a patch very close to an LED they would fall below 0 and show as dark spots."""
     from scipy.ndimage import maximum_filter, minimum_filter, zoom
 
     def dense(what: "Floats", order: int) -> "Floats":
-        return np.asarray(zoom(what, (FINER, FINER, 1), order=order, mode="nearest"))
+        return np.asarray(zoom(what, (PATCH_REFINEMENT, PATCH_REFINEMENT, 1), order=order, mode="nearest"))
 
     least, most = (dense(of(coarse, size=(3, 3, 1), mode="nearest"), 1) for of in (minimum_filter, maximum_filter))
     return np.clip(dense(coarse, 3), least, most)

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from tacgen.optics.surface_grid import Surface
 
 Array = np.ndarray
-SLACK = 0.05  # distance in front of a point at which another part of the face hides it: the sheet's accuracy [mm]
+# distance in front of a point at which another part of the face hides it: the sheet's accuracy [mm]
+HIDING_DISTANCE_MM = 0.05
 
 
 class MaterialPoints:
@@ -76,5 +77,7 @@ def within(pixels: Array, camera: "PinholeCamera") -> Array:
 def _behind(face: DrawnFace, pixels: Array, depth: Array) -> Array:
     """Whether another part of a face stands before points of it (n,) at pixels (n, 2) and heights (n,)."""
     return np.asarray(
-        hidden(face.sheet.faces, face.screen, face.nodes[:, 2].copy(), pixels, depth, face.camera.shape, SLACK)
+        hidden(
+            face.sheet.faces, face.screen, face.nodes[:, 2].copy(), pixels, depth, face.camera.shape, HIDING_DISTANCE_MM
+        )
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.optics.housing import WALL_RISE, Floats, bottom_depth, frame, outline
+from tacgen.optics.housing import WALL_RISE_MM, Floats, bottom_depth, frame, outline
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import Led, LitSensor
 
 LOBE_ROWS = 4097  # latitudes at which a lobe is tabulated; interpolation is off by 3e-6 of the peak at most
-TOUCHING = 1e-6  # distance at which an LED lies in the plate's air face [mm]
-FAR = (0.0, 0.0, 1e3)  # a place outside every housing [mm]
+TOUCHING_TOL_MM = 1e-6  # distance at which an LED lies in the plate's air face [mm]
+OUTSIDE_HOUSING = (0.0, 0.0, 1e3)  # a place outside every housing [mm]
 
 
 def rectangle(
@@ -69,7 +69,7 @@ def lights(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
         # one emitter must have a weight; this one is dark and costs no shadow rays
         made["unlit"] = {
             "type": "rectangle",
-            "to_world": rectangle(FAR, (0, 0, 1), (0, 1, 0), (1.0, 1.0)),
+            "to_world": rectangle(OUTSIDE_HOUSING, (0, 0, 1), (0, 1, 0), (1.0, 1.0)),
             "bsdf": {"type": "null"},
             "emitter": {"type": "directionalarea", "radiance": 0.0},
         }
@@ -102,7 +102,7 @@ def in_air_face(sensor: "LitSensor", light: "Led") -> bool:
     """Whether an LED lies in the plate's air face, shines into the plate and has its sides along x and y."""
     axes = frame(light.normal, light.up)
     aligned = np.isclose(axes[2, 2], 1.0) and np.isclose(np.abs(axes[:2, :2]).max(), 1.0)
-    return bool(aligned and np.isclose(light.center_mm[2], -bottom_depth(sensor), rtol=0, atol=TOUCHING))
+    return bool(aligned and np.isclose(light.center_mm[2], -bottom_depth(sensor), rtol=0, atol=TOUCHING_TOL_MM))
 
 
 def air_face(sensor: "LitSensor") -> dict[str, Any]:
@@ -131,7 +131,7 @@ def lobed(radiance: "Sequence[float]", lobe: int) -> dict[str, Any]:
 def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     """The dark walls around gel and plate, from the plate's air face past the coated face."""
     bottom = -bottom_depth(sensor)
-    middle, tall = (WALL_RISE + bottom) / 2, WALL_RISE - bottom
+    middle, tall = (WALL_RISE_MM + bottom) / 2, WALL_RISE_MM - bottom
     corners, walls = outline(sensor), {}
     for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
         length = float(np.linalg.norm(b - a))

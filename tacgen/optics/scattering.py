@@ -24,11 +24,13 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)  # tabulated thickness over untouched [-]
-BLOCKS = 4.0  # standard deviation of a Gaussian over the side of the blocks to whose means it is applied [-]
-MARGIN = 2  # blocks around a picture that the splines need
-ROWS = 4096  # points of a tabulated curve
-DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, of the dent for `fitted_reach` [-]
+# tabulated thickness over untouched [-]
+THICKNESS_SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)
+# standard deviation of a Gaussian over the side of the blocks to whose means it is applied [-]
+GAUSSIAN_STD_PER_BLOCK = 4.0
+MARGIN_BLOCKS = 2  # blocks around a picture that the splines need
+CURVE_POINTS = 4096  # points of a tabulated curve
+CALIBRATION_DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, of the dent for `fitted_reach` [-]
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def averaged(share: "Floats", reach: float) -> "Floats":
     A wide one is applied to means over blocks of n x n pixels, whose result is spread by cubic B-splines. Each of the
     three adds its variance, (n^2 - 1) / 12 and n^2 / 3 [px^2] besides the filter's own.
     """
-    n = max(1, int(reach / BLOCKS))
+    n = max(1, int(reach / GAUSSIAN_STD_PER_BLOCK))
     if n == 1:
         return blur(share[..., None], reach, truncate=3.0)[..., 0]
     own = np.sqrt(reach**2 - (n * n - 1) / 12 - n * n / 3) / n
@@ -127,12 +129,12 @@ class Tabulated:
 
     first: float
     step: float
-    values: "Floats"  # (ROWS, 3)
+    values: "Floats"  # (CURVE_POINTS, 3)
 
     @classmethod
     def of(cls, curve: "Callable[[Floats], Floats]", first: float, last: float) -> "Tabulated":
         """The table of `curve` (n,) -> (n, 3) between two ends, beyond which it is constant."""
-        return cls(first, (last - first) / (ROWS - 1), curve(np.linspace(first, last, ROWS)))
+        return cls(first, (last - first) / (CURVE_POINTS - 1), curve(np.linspace(first, last, CURVE_POINTS)))
 
     def at(self, x: "Floats") -> "Floats":
         """Values (n, 3) at x (n,); 1 where it is nan."""
@@ -159,13 +161,15 @@ def _interpolated(x: "Floats", first: float, step: float, values: "Floats") -> "
 
 @njit(cache=True)
 def _means(picture: "Floats", n: int) -> "Floats":
-    """Means over blocks of n x n pixels of a picture (h, w) and of MARGIN blocks around it, where its edge goes on."""
+    """Means over blocks of n x n pixels of a picture (h, w) and of MARGIN_BLOCKS blocks around it, where its edge goes
+    on.
+    """
     h, w = picture.shape
-    out = np.zeros((2 * MARGIN - (-h // n), 2 * MARGIN - (-w // n)))
+    out = np.zeros((2 * MARGIN_BLOCKS - (-h // n), 2 * MARGIN_BLOCKS - (-w // n)))
     for y in range(n * out.shape[0]):
-        row = min(max(y - MARGIN * n, 0), h - 1)
+        row = min(max(y - MARGIN_BLOCKS * n, 0), h - 1)
         for x in range(n * out.shape[1]):
-            out[y // n, x // n] += picture[row, min(max(x - MARGIN * n, 0), w - 1)]
+            out[y // n, x // n] += picture[row, min(max(x - MARGIN_BLOCKS * n, 0), w - 1)]
     return out / (n * n)
 
 
@@ -182,12 +186,12 @@ def _spread(coarse: "Floats", weights: "Floats", shape: tuple[int, int]) -> "Flo
     n, columns = len(weights), coarse.shape[1]
     down, out = np.zeros((shape[0], columns)), np.zeros(shape)
     for y in range(shape[0]):
-        first = (2 * y + 1 - n) // (2 * n) - 1 + MARGIN
+        first = (2 * y + 1 - n) // (2 * n) - 1 + MARGIN_BLOCKS
         for m in range(4):
             for x in range(columns):
                 down[y, x] += weights[y % n, m] * coarse[first + m, x]
         for x in range(shape[1]):
-            first = (2 * x + 1 - n) // (2 * n) - 1 + MARGIN
+            first = (2 * x + 1 - n) // (2 * n) - 1 + MARGIN_BLOCKS
             for m in range(4):
                 out[y, x] += weights[x % n, m] * down[y, first + m]
     return out

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from tacgen.base.compiled import njit
 
 Floats = NDArray[np.float64]
-SUMS = {"contract", "nsz", "arcp", "reassoc"}  # flags of LLVM's fast math with which sums in loops are vectorised
-SMALL, LARGE = 8, 32  # cells along the side of a block
-ONE, BLOCKS = np.uint32(1), (np.uint32(SMALL), np.uint32(LARGE))  # unsigned: indices need no check of their sign
-DENTED = 0.02  # smallest fall of a place since untouched with which it casts a shadow [mm]
+# flags of LLVM's fast math with which sums in loops are vectorised
+FAST_SUM_FLAGS = {"contract", "nsz", "arcp", "reassoc"}
+SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS = 8, 32  # cells along the side of a block
+# unsigned: indices need no check of their sign
+ONE_UINT, BLOCK_SIZES_UINT = np.uint32(1), (np.uint32(SMALL_BLOCK_CELLS), np.uint32(LARGE_BLOCK_CELLS))
+MIN_SHADOWING_FALL_MM = 0.02  # smallest fall of a place since untouched with which it casts a shadow [mm]
 
 
 class Terrain(NamedTuple):
@@ -33,8 +35,8 @@ class Terrain(NamedTuple):
     @classmethod
     def of(cls, heights: Floats, size: tuple[float, float], before: Floats | None = None) -> "Terrain":
         """The terrain of a face; with its heights `before`, only places that have receded since then cast shadows."""
-        blocked = heights if before is None else np.where(heights < before - DENTED, heights, np.inf)
-        small, large = (lowest(blocked, cells) for cells in (SMALL, LARGE))
+        blocked = heights if before is None else np.where(heights < before - MIN_SHADOWING_FALL_MM, heights, np.inf)
+        small, large = (lowest(blocked, cells) for cells in (SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS))
         return cls(heights, small, large, size, float(large.min()), bounds(small))
 
 
@@ -44,7 +46,10 @@ def bounds(small: Floats) -> tuple[float, float, float, float]:
     for along in (0, 1):
         blocks, count = np.flatnonzero(there.any(axis=along)), there.shape[1 - along]
         first, last = (int(blocks[0]), int(blocks[-1]) + 1) if len(blocks) else (count, 0)
-        box += [float(SMALL * first) if first else -np.inf, float(SMALL * last) if last < count else np.inf]
+        box += [
+            float(SMALL_BLOCK_CELLS * first) if first else -np.inf,
+            float(SMALL_BLOCK_CELLS * last) if last < count else np.inf,
+        ]
     return box[0], box[1], box[2], box[3]
 
 
@@ -63,7 +68,7 @@ def lowest(heights: Floats, cells: int) -> Floats:
     return out
 
 
-@njit(cache=False, error_model="numpy", fastmath=SUMS, inline="always")
+@njit(cache=False, error_model="numpy", fastmath=FAST_SUM_FLAGS, inline="always")
 def horizon(
     terrain: Terrain,
     x: float,
@@ -110,22 +115,30 @@ def horizon(
     while r > first:  # from far to near: beyond a dome's rim this decides soonest
         u, v = u0 + r * du, v0 + r * dv
         i, j = np.uint32(u), np.uint32(v)
-        bi, bj = i // BLOCKS[1], j // BLOCKS[1]
+        bi, bj = i // BLOCK_SIZES_UINT[1], j // BLOCK_SIZES_UINT[1]
         drop = large[bj, bi] - z
-        enter = max(((bi + 1 - right) * LARGE - u0) * across, ((bj + 1 - under) * LARGE - v0) * down, first)
+        enter = max(
+            ((bi + 1 - right) * LARGE_BLOCK_CELLS - u0) * across,
+            ((bj + 1 - under) * LARGE_BLOCK_CELLS - v0) * down,
+            first,
+        )
         if drop >= limit * (enter if drop < 0.0 else r):
             r = min(enter, r) - 1e-4
             continue
-        bi, bj = i // BLOCKS[0], j // BLOCKS[0]
+        bi, bj = i // BLOCK_SIZES_UINT[0], j // BLOCK_SIZES_UINT[0]
         drop = small[bj, bi] - z
-        enter = max(((bi + 1 - right) * SMALL - u0) * across, ((bj + 1 - under) * SMALL - v0) * down, first)
+        enter = max(
+            ((bi + 1 - right) * SMALL_BLOCK_CELLS - u0) * across,
+            ((bj + 1 - under) * SMALL_BLOCK_CELLS - v0) * down,
+            first,
+        )
         if drop >= limit * (enter if drop < 0.0 else r):
             r = min(enter, r) - 1e-4
             continue
         while True:
             a, b = u - i, v - j
-            rise = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + ONE]) - z
-            rise += b * ((1 - a) * heights[j + ONE, i] + a * heights[j + ONE, i + ONE])
+            rise = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + ONE_UINT]) - z
+            rise += b * ((1 - a) * heights[j + ONE_UINT, i] + a * heights[j + ONE_UINT, i + ONE_UINT])
             if rise < limit * r:
                 passed = limit = rise / r
                 if passed <= below[0]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen.base.compiled import njit, vectorize
 from tacgen.optics.housing import bottom_depth, frame
-from tacgen.optics.shadows import SUMS, Terrain, horizon
+from tacgen.optics.shadows import FAST_SUM_FLAGS, Terrain, horizon
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-CLEAR = 0.01  # distance of a ray's end from a strip's plane, below which the strip does not block it [mm]
+# distance of a ray's end from a strip's plane, below which the strip does not block it [mm]
+MIN_BLOCKING_DISTANCE_MM = 0.01
 
 
 class StripPoints(NamedTuple):
@@ -143,7 +144,7 @@ class Arrival(NamedTuple):
     weight: float  # radiance carried over times solid angle, per area [1/mm^2] normal to the leaving direction
 
 
-ASIDE, TOWARD, LEAVING, WEIGHT = range(4)  # places of these fields in a table
+ASIDE_FIELD, TOWARD_FIELD, LEAVING_FIELD, WEIGHT_FIELD = range(4)  # places of these fields in a table
 
 
 @njit(cache=False)
@@ -194,7 +195,7 @@ def layer(z: float, tops: Floats) -> int:
     return home
 
 
-@njit(cache=False, error_model="numpy", fastmath=SUMS)
+@njit(cache=False, error_model="numpy", fastmath=FAST_SUM_FLAGS)
 def ggx(turn: float, ci: float, co: float, alpha: float) -> float:
     """GGX reflection times cos(wo), of microfacets with reflectance 1: D G1 G1 / (4 cos wi).
 
@@ -215,7 +216,10 @@ def crosses(panels: Panels, a: tuple[float, float, float], b: tuple[float, float
         for c in range(3):
             ta += panels.normal[m, c] * (a[c] - panels.middle[m, c])
             tb += panels.normal[m, c] * (b[c] - panels.middle[m, c])
-        if not ((ta > CLEAR and tb < -CLEAR) or (ta < -CLEAR and tb > CLEAR)):
+        if not (
+            (ta > MIN_BLOCKING_DISTANCE_MM and tb < -MIN_BLOCKING_DISTANCE_MM)
+            or (ta < -MIN_BLOCKING_DISTANCE_MM and tb > MIN_BLOCKING_DISTANCE_MM)
+        ):
             continue
         share, u, v, u2, v2 = ta / (ta - tb), 0.0, 0.0, 0.0, 0.0
         for c in range(3):

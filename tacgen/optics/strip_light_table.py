@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from tacgen.base.compiled import njit
 from tacgen.geometry.rasterize import Hits, point
 from tacgen.optics.camera import PinholeCamera
-from tacgen.optics.shadows import SUMS, Terrain, horizon
+from tacgen.optics.shadows import FAST_SUM_FLAGS, Terrain, horizon
 from tacgen.optics.strip_light import (
-    ASIDE,
-    LEAVING,
-    TOWARD,
-    WEIGHT,
+    ASIDE_FIELD,
+    LEAVING_FIELD,
+    TOWARD_FIELD,
+    WEIGHT_FIELD,
     Panels,
     Slab,
     StripPoints,
@@ -36,22 +36,23 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Single = np.float32
 
-LATERAL_STEP = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
-PLACE, NEAR = (0.2, 0.4), 0.15  # smallest and largest spacing of positions [mm]; spacing over the strips' distance [-]
-HEIGHT_STEP = 0.5  # spacing of the heights [mm]
-RISE = 1.0  # largest height of a bulging face above the untouched one [mm]
-ALONG, UP = 2, 16  # quadrature points along and across a column
-SLOPES = (-9.0, 9.0)  # range that contains all slopes [-]
-STEEP = -1e-3  # largest z component of a normal [-]
+LATERAL_STEP_MM = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
+# smallest and largest spacing of positions [mm]; spacing over the strips' distance [-]
+POSITION_SPACINGS_MM, POSITION_SPACING_RATIO = (0.2, 0.4), 0.15
+HEIGHT_STEP_MM = 0.5  # spacing of the heights [mm]
+MAX_BULGE_MM = 1.0  # largest height of a bulging face above the untouched one [mm]
+POINTS_ALONG_COLUMN, POINTS_ACROSS_COLUMN = 2, 16  # quadrature points along and across a column
+SLOPE_RANGE = (-9.0, 9.0)  # range that contains all slopes [-]
+MAX_NORMAL_Z = -1e-3  # largest z component of a normal [-]
 
 
 # Fields of a column's light: its irradiance vector times distance^2 [mm^2], and half its range of slopes [-].
-X, Y, Z, HALF = range(FIELDS := 4)
+IRRADIANCE_X, IRRADIANCE_Y, IRRADIANCE_Z, HALF_SLOPE_RANGE = range(FIELDS := 4)
 
 # A column's light on a point of the face: lateral part of the irradiance vector times distance^2, over its range of
 # slopes [mm^2]; its least slope (rise over sideways way); the greatest that does not come from behind the face; and the
 # slope of the face, from which on it does [-].
-SIDE, LOW, HIGH, TURN = range(4)
+LATERAL_LIGHT, LOWEST_SLOPE, HIGHEST_SLOPE, TURNING_SLOPE = range(4)
 
 
 class Columns(NamedTuple):
@@ -61,8 +62,8 @@ class Columns(NamedTuple):
     strip: NDArray[np.int64]  # which LED, (columns,)
     lowest: Floats  # corner of the table [mm], (3,): x, y, z
     step: Floats  # between its entries [mm], (3,)
-    # X of each column's direct light per unit radiance and then of its reflected; likewise Y, Z and HALF; then of each
-    # column the slope up to which the untouched face lets light pass.
+    # X of each column's direct light per unit radiance and then of its reflected; likewise Y, Z and HALF_SLOPE_RANGE;
+    # then of each column the slope up to which the untouched face lets light pass.
     light: Singles  # (heights, rows, columns of places, (2 FIELDS + 1) x columns)
     mirror: float  # height of the plate's air face [mm]
 
@@ -71,28 +72,43 @@ class Columns(NamedTuple):
         """Each strip in so many `pieces`, for faces anywhere in the outermost layer before the camera."""
         from scipy.ndimage import map_coordinates
 
-        field, slab, lights = seen(sensor), Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
+        field, slab, lights = (
+            seen(sensor),
+            Slab.of(sensor),
+            points(sensor.leds, POINTS_ALONG_COLUMN, POINTS_ACROSS_COLUMN, pieces),
+        )
         heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
         home = np.searchsorted(slab.tops[:-1], heights, side="right")
-        z = np.linspace(slab.bottoms[-1] + 0.1 * HEIGHT_STEP, RISE, round((RISE - slab.bottoms[-1]) / HEIGHT_STEP) + 1)
+        z = np.linspace(
+            slab.bottoms[-1] + 0.1 * HEIGHT_STEP_MM,
+            MAX_BULGE_MM,
+            round((MAX_BULGE_MM - slab.bottoms[-1]) / HEIGHT_STEP_MM) + 1,
+        )
         reach = np.linalg.norm(np.abs(lights.at[:, :2]).max(axis=0) + np.abs(field).max(axis=0))
-        aside = np.arange(0.0, reach + 2 * LATERAL_STEP, LATERAL_STEP)
-        aside[0] = 1e-3 * LATERAL_STEP
+        aside = np.arange(0.0, reach + 2 * LATERAL_STEP_MM, LATERAL_STEP_MM)
+        aside[0] = 1e-3 * LATERAL_STEP_MM
         off = lights.at - np.column_stack([np.clip(lights.at[:, :2], *field), np.zeros(len(lights.at))])
-        place = np.clip(NEAR * np.linalg.norm(off, axis=1).min(), *PLACE)
+        place = np.clip(POSITION_SPACING_RATIO * np.linalg.norm(off, axis=1).min(), *POSITION_SPACINGS_MM)
         x, y = (np.linspace(low, high, math.ceil((high - low) / place) + 1) for low, high in field.T)
         places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         count = np.array(untouched.heights.shape[::-1]) - 1
         face = map_coordinates(untouched.heights, ((places / untouched.size + 0.5) * count).T[::-1], order=1)
         places = np.column_stack([places, face])
-        middle = lights.at.reshape(-1, ALONG * UP, 3).mean(axis=1)
+        middle = lights.at.reshape(-1, POINTS_ALONG_COLUMN * POINTS_ACROSS_COLUMN, 3).mean(axis=1)
         table = tabulate(z, aside, heights, home, slab)
         light = column_light(places, z, lights, middle, level, home, table, Panels.of(sensor.leds), slab)
         lowest, step = np.array([x[0], y[0], z[0]]), np.array([x[1] - x[0], y[1] - y[0], z[1] - z[0]])
         horizons = untouched_horizons(places, z, middle, untouched)
         light = np.concatenate([np.moveaxis(light, 3, 2).reshape(len(z), len(places), -1), horizons], axis=2)
         light = light.reshape(len(z), len(y), len(x), -1)
-        return cls(middle, lights.strip[:: ALONG * UP].copy(), lowest, step, light, float(slab.bottoms[0]))
+        return cls(
+            middle,
+            lights.strip[:: POINTS_ALONG_COLUMN * POINTS_ACROSS_COLUMN].copy(),
+            lowest,
+            step,
+            light,
+            float(slab.bottoms[0]),
+        )
 
 
 def seen(sensor: "LitSensor") -> Floats:
@@ -100,8 +116,10 @@ def seen(sensor: "LitSensor") -> Floats:
     camera, half = PinholeCamera.from_sensor(sensor), np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2
     (h, w) = camera.shape
     near, way = camera.rays([[0, 0], [w, 0], [0, h], [w, h]])
-    ends = np.concatenate([near, near + way * ((RISE - near[:, 2:]) / way[:, 2:])])[:, :2]
-    return np.asarray(np.clip([ends.min(axis=0) - PLACE[1], ends.max(axis=0) + PLACE[1]], -half, half))
+    ends = np.concatenate([near, near + way * ((MAX_BULGE_MM - near[:, 2:]) / way[:, 2:])])[:, :2]
+    return np.asarray(
+        np.clip([ends.min(axis=0) - POSITION_SPACINGS_MM[1], ends.max(axis=0) + POSITION_SPACINGS_MM[1]], -half, half)
+    )
 
 
 @njit(cache=True)
@@ -118,7 +136,7 @@ def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64],
     return out
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUMS)
+@njit(cache=True, error_model="numpy", fastmath=FAST_SUM_FLAGS)
 def column_light(
     places: Floats,
     z: Floats,
@@ -142,7 +160,7 @@ def column_light(
     out = np.zeros((len(z), len(places), len(middle), 2 * FIELDS), np.float32)
     none, one = np.float32(0.0), np.float32(1.0)
     each, opaque = len(points.at) // len(middle), np.abs(panels.along).sum() > 0.0
-    half = np.float32(0.5 * UP / each)
+    half = np.float32(0.5 * POINTS_ACROSS_COLUMN / each)
     light, least, most = (
         np.empty((2, FIELDS, len(z)), np.float32),
         np.empty((2, len(z)), np.float32),
@@ -157,12 +175,12 @@ def column_light(
         for c in range(len(middle)):
             light[:] = 0.0
             for q in range(c * each, (c + 1) * each):
-                if q % UP == 0:
+                if q % POINTS_ACROSS_COLUMN == 0:
                     least[:], most[:] = np.inf, -np.inf
                 dx, dy = points.at[q, 0] - p[0], points.at[q, 1] - p[1]
                 rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-                dx, dy, r = dx / rho, dy / rho, int(rho / LATERAL_STEP)
-                far = np.float32(rho / LATERAL_STEP - r)
+                dx, dy, r = dx / rho, dy / rho, int(rho / LATERAL_STEP_MM)
+                far = np.float32(rho / LATERAL_STEP_MM - r)
                 near, x, y, soft = one - far, np.float32(dx), np.float32(dy), np.float32(points.half[q] / rho)
                 index, normal = slab.indices[-1] / slab.indices[home[level[q]]], points.normal[q]
                 aside = np.float32(index * (normal[0] * dx + normal[1] * dy))
@@ -170,38 +188,38 @@ def column_light(
                 for image in range(2):
                     low, high = table[level[q], r, image], table[level[q], r + 1, image]
                     if opaque:
-                        k = (1 - share) * (near * low[ASIDE, below] + far * high[ASIDE, below])
-                        k += share * (near * low[ASIDE, below + 1] + far * high[ASIDE, below + 1])
+                        k = (1 - share) * (near * low[ASIDE_FIELD, below] + far * high[ASIDE_FIELD, below])
+                        k += share * (near * low[ASIDE_FIELD, below + 1] + far * high[ASIDE_FIELD, below + 1])
                         k *= slab.indices[-1]
                         if shaded(panels, p, points.at[q], home[level[q]], image, k, slab):
                             continue
                     for i in range(len(z)):
-                        sine = near * low[ASIDE, i] + far * high[ASIDE, i]
-                        facing[i] = (near * low[LEAVING, i] + far * high[LEAVING, i]) * up - sine * aside
+                        sine = near * low[ASIDE_FIELD, i] + far * high[ASIDE_FIELD, i]
+                        facing[i] = (near * low[LEAVING_FIELD, i] + far * high[LEAVING_FIELD, i]) * up - sine * aside
                         facing[i] = max(facing[i], np.float32(0.0))
-                        weight[i] = area * facing[i] * (near * low[WEIGHT, i] + far * high[WEIGHT, i])
+                        weight[i] = area * facing[i] * (near * low[WEIGHT_FIELD, i] + far * high[WEIGHT_FIELD, i])
                     for _ in range(points.lobe[q]):
                         for i in range(len(z)):
                             weight[i] *= facing[i]
                     for i in range(len(z)):
-                        sine = near * low[ASIDE, i] + far * high[ASIDE, i]
-                        rise = near * low[TOWARD, i] + far * high[TOWARD, i]
-                        light[image, X, i] += weight[i] * sine * x
-                        light[image, Y, i] += weight[i] * sine * y
-                        light[image, Z, i] += weight[i] * rise
+                        sine = near * low[ASIDE_FIELD, i] + far * high[ASIDE_FIELD, i]
+                        rise = near * low[TOWARD_FIELD, i] + far * high[TOWARD_FIELD, i]
+                        light[image, IRRADIANCE_X, i] += weight[i] * sine * x
+                        light[image, IRRADIANCE_Y, i] += weight[i] * sine * y
+                        light[image, IRRADIANCE_Z, i] += weight[i] * rise
                         least[image, i] = min(least[image, i], rise / sine - soft)
                         most[image, i] = max(most[image, i], rise / sine + soft)
-                if (q + 1) % UP == 0:
+                if (q + 1) % POINTS_ACROSS_COLUMN == 0:
                     for image in range(2):
                         for i in range(len(z)):
-                            light[image, HALF, i] += max(most[image, i] - least[image, i], none) * half
+                            light[image, HALF_SLOPE_RANGE, i] += max(most[image, i] - least[image, i], none) * half
             away2 = (middle[c, 0] - p[0]) ** 2 + (middle[c, 1] - p[1]) ** 2
             for image in range(2):
                 for i in range(len(z)):
                     height = (2 * slab.bottoms[0] if image == 1 else 2 * z[i]) - middle[c, 2] - z[i]
-                    for m in (X, Y, Z):
+                    for m in (IRRADIANCE_X, IRRADIANCE_Y, IRRADIANCE_Z):
                         out[i, s, c, 2 * m + image] = light[image, m, i] * (away2 + height * height)
-                    out[i, s, c, 2 * HALF + image] = light[image, HALF, i]
+                    out[i, s, c, 2 * HALF_SLOPE_RANGE + image] = light[image, HALF_SLOPE_RANGE, i]
     return out
 
 
@@ -218,18 +236,18 @@ def untouched_horizons(places: Floats, z: Floats, middle: Floats, untouched: Ter
             dx, dy = dx / rho, dy / rho
             lower, level = 0.0, 0.0
             for i in range(-2, len(z)):  # first below the face and on it
-                height = z[i] if i >= 0 else face + (i + 1) * HEIGHT_STEP
+                height = z[i] if i >= 0 else face + (i + 1) * HEIGHT_STEP_MM
                 if i >= 0 and height >= face:
-                    out[i, s, c] = level + (level - lower) / HEIGHT_STEP * (height - face)
+                    out[i, s, c] = level + (level - lower) / HEIGHT_STEP_MM * (height - face)
                     continue
-                found = horizon(untouched, x, y, height, dx, dy, rho, SLOPES, SLOPES)
+                found = horizon(untouched, x, y, height, dx, dy, rho, SLOPE_RANGE, SLOPE_RANGE)
                 if i >= 0:
                     out[i, s, c] = found
                 lower, level = (found, level) if i == -2 else (lower, found if i == -1 else level)
     return out
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUMS)
+@njit(cache=True, error_model="numpy", fastmath=FAST_SUM_FLAGS)
 def toward_camera(
     index: NDArray[np.int64],
     hits: Hits,
@@ -264,7 +282,7 @@ def toward_camera(
         x, y, z = point(hits, nodes, at)
         if np.isnan(x):
             continue
-        nx, ny, nz = normals[at, 0], normals[at, 1], min(normals[at, 2], STEEP)
+        nx, ny, nz = normals[at, 0], normals[at, 1], min(normals[at, 2], MAX_NORMAL_Z)
         vx, vy, vz = views[at, 0], views[at, 1], views[at, 2]
         ci = max(nx * vx + ny * vy + normals[at, 2] * vz, 0.05)
         trilinear(light, (x - lowest[0]) / step[0], (y - lowest[1]) / step[1], (z - lowest[2]) / step[2], got)
@@ -273,9 +291,12 @@ def toward_camera(
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             free = np.float64(got[2 * FIELDS * count + c])
-            above = np.float64(bundle[LOW, c]), min(np.float64(bundle[HIGH, c]), free)
-            below = np.float64(bundle[LOW, count + c]), min(np.float64(bundle[HIGH, count + c]), free)
-            lit = bundle[SIDE, c] > 0.0 and above[0] < above[1], bundle[SIDE, count + c] > 0.0 and below[0] < below[1]
+            above = np.float64(bundle[LOWEST_SLOPE, c]), min(np.float64(bundle[HIGHEST_SLOPE, c]), free)
+            below = np.float64(bundle[LOWEST_SLOPE, count + c]), min(np.float64(bundle[HIGHEST_SLOPE, count + c]), free)
+            lit = (
+                bundle[LATERAL_LIGHT, c] > 0.0 and above[0] < above[1],
+                bundle[LATERAL_LIGHT, count + c] > 0.0 and below[0] < below[1],
+            )
             if not (lit[0] or lit[1]):
                 continue
             above = above if lit[0] else below
@@ -284,13 +305,13 @@ def toward_camera(
             white, bright = 0.0, 0.0
             for image in range(2):
                 k = image * count + c
-                low, top = np.float64(bundle[LOW, k]), min(edge, np.float64(bundle[HIGH, k]))
+                low, top = np.float64(bundle[LOWEST_SLOPE, k]), min(edge, np.float64(bundle[HIGHEST_SLOPE, k]))
                 if not lit[image] or top <= low:
                     continue
                 rise = 2 * mirror - middle[c, 2] - z if image else middle[c, 2] - z
-                side = bundle[SIDE, k] * (top - low) / (rho * rho + rise * rise)
+                side = bundle[LATERAL_LIGHT, k] * (top - low) / (rho * rho + rise * rise)
                 seen = 0.5 * (top + low)  # mean slope of what is seen of the column
-                turn = np.float64(bundle[TURN, k])
+                turn = np.float64(bundle[TURNING_SLOPE, k])
                 white -= side * nz * (turn - seen)
                 if alpha > 0.0:
                     spread = (top - low) / np.sqrt(12.0)
@@ -303,7 +324,7 @@ def toward_camera(
     return out
 
 
-@njit(cache=False, error_model="numpy", fastmath=SUMS)
+@njit(cache=False, error_model="numpy", fastmath=FAST_SUM_FLAGS)
 def trilinear(table: Singles, u: float, v: float, w: float, out: Singles) -> None:
     """A table (heights, rows, columns, c) at column u, row v and height w: `out` (c,), linear, constant beyond its
     ends."""
@@ -322,16 +343,21 @@ def trilinear(table: Singles, u: float, v: float, w: float, out: Singles) -> Non
         out[c] = near + d * (far - near)
 
 
-@njit(cache=False, error_model="numpy", fastmath=SUMS)
+@njit(cache=False, error_model="numpy", fastmath=FAST_SUM_FLAGS)
 def incident(got: Singles, nx: Single, ny: Single, nz: Single, out: Singles) -> None:
     """Light of the columns on a point of the face with this normal, each in the vertical plane of its irradiance
     vector: `out` (4, 2 columns) of the direct light and then of the reflected, from Columns.light there."""
     both, one, none = out.shape[1], np.float32(1.0), np.float32(1e-30)
     for c in range(both):
-        ex, ey, ez, half = got[X * both + c], got[Y * both + c], got[Z * both + c], got[HALF * both + c]
+        ex, ey, ez, half = (
+            got[IRRADIANCE_X * both + c],
+            got[IRRADIANCE_Y * both + c],
+            got[IRRADIANCE_Z * both + c],
+            got[HALF_SLOPE_RANGE * both + c],
+        )
         side = np.sqrt(ex * ex + ey * ey)
         each = one / max(side, none)
         slope, turn = ez * each, -(nx * ex + ny * ey) * each / nz
-        out[SIDE, c] = side / (half + half)
-        out[LOW, c], out[HIGH, c] = slope - half, min(slope + half, turn)
-        out[TURN, c] = turn
+        out[LATERAL_LIGHT, c] = side / (half + half)
+        out[LOWEST_SLOPE, c], out[HIGHEST_SLOPE, c] = slope - half, min(slope + half, turn)
+        out[TURNING_SLOPE, c] = turn

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-BEYOND = 1e-3  # scale of the part of a sheet outside a solid's outline: too small to be seen [-]
-EVERYWHERE = (-np.inf, np.inf, -np.inf, np.inf)
+OUTSIDE_SCALE = 1e-3  # scale of the part of a sheet outside a solid's outline: too small to be seen [-]
+UNBOUNDED_BOX = (-np.inf, np.inf, -np.inf, np.inf)
 
 
 class Surface(Protocol):
@@ -62,10 +62,10 @@ class Sheet:
     pad: "Pad"
     shape: tuple[int, int]  # rows, columns of nodes over the pad
     whole: bool = True  # gel covers the whole pad; otherwise the surface tells where it is, as on a solid
-    box: tuple[float, ...] = EVERYWHERE  # x0, x1, y0, y1 [mm]: only the nodes in there
+    box: tuple[float, ...] = UNBOUNDED_BOX  # x0, x1, y0, y1 [mm]: only the nodes in there
 
     @classmethod
-    def over(cls, gel: "Gel", spacing: float, box: tuple[float, ...] = EVERYWHERE) -> "Sheet":
+    def over(cls, gel: "Gel", spacing: float, box: tuple[float, ...] = UNBOUNDED_BOX) -> "Sheet":
         """A sheet over the whole pad with nodes about `spacing` [mm] apart, or over the part of it in a box."""
         shape = round(gel.height_mm / spacing) + 1, round(gel.width_mm / spacing) + 1
         return cls(gel.pad, shape, gel.solid is None, box)
@@ -122,7 +122,7 @@ class Sheet:
 
             near = np.flatnonzero(~lost)[cKDTree(pad[~lost]).query(pad[lost])[1]]
             now[lost] = now[near]
-            now[lost, :2] += (1.0 if self.whole else BEYOND) * (pad[lost] - pad[near])
+            now[lost, :2] += (1.0 if self.whole else OUTSIDE_SCALE) * (pad[lost] - pad[near])
         now[self._outside, :2] += self.rest[self._outside] - pad[self._outside]
         return now
 

@@ -25,13 +25,16 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-BINS = 41  # of each slope component, the sine of its angle from -1 to 1
-SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] and weights by which bins share their samples
-RIDGE = 0.05  # ridge penalty of the position-dependent terms, over the number of a bin's samples [-]
-ALONG = (-0.6, -0.2, 0.2, 0.6)
-PLACES = [(x, y) for y in ALONG for x in ALONG]  # centres of dents from the picture's middle, over half its size [-]
-BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius over the gel's thickness, sine of the largest slope
-COARSE = 4  # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
+SLOPE_BINS = 41  # of each slope component, the sine of its angle from -1 to 1
+BIN_SHARING = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] and weights by which bins share their samples
+POSITION_RIDGE = 0.05  # ridge penalty of the position-dependent terms, over the number of a bin's samples [-]
+DENT_OFFSETS = (-0.6, -0.2, 0.2, 0.6)
+# centres of dents from the picture's middle, over half its size [-]
+DENT_CENTRES = [(x, y) for y in DENT_OFFSETS for x in DENT_OFFSETS]
+# radius over the gel's thickness, sine of the largest slope
+DENT_BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]
+# spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
+SHADOW_SPACING_PX = 4
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Face:
 class TaximTable:
     """Added light for each slope and position, and the light that is missing in the shadow of each lamp."""
 
-    terms: "Floats"  # (BINS, BINS, 6, 3): of 1, x, y, x^2, x y, y^2 with x, y from -1 to 1 over the picture
+    terms: "Floats"  # (SLOPE_BINS, SLOPE_BINS, 6, 3): of 1, x, y, x^2, x y, y^2 with x, y from -1 to 1 over the picture
     shade: "Floats"  # (lamps, 3): light that is missing where a lamp is wholly hidden
 
     @classmethod
@@ -63,7 +66,7 @@ class TaximTable:
 
         The shadows are fitted to what the polynomials leave: most of what a dent hides from a lamp turns away from it.
         """
-        a, b = np.zeros((BINS * BINS, 6, 6)), np.zeros((BINS * BINS, 6, 3))
+        a, b = np.zeros((SLOPE_BINS * SLOPE_BINS, 6, 6)), np.zeros((SLOPE_BINS * SLOPE_BINS, 6, 3))
         for face, light in zip(faces, added, strict=True):
             basis, index = quadratic_basis(light.shape[:2]).reshape(-1, 6), _bin(face.slope).ravel()
             _accumulate(a, b, index, basis, light.reshape(-1, 3))
@@ -91,13 +94,17 @@ class TaximTable:
     @classmethod
     def unpacked(cls, numbers: "Floats") -> "TaximTable":
         """From `packed`."""
-        size = BINS * BINS * 18
-        return cls(numbers[:size].reshape(BINS, BINS, 6, 3), numbers[size:].reshape(-1, 3))
+        size = SLOPE_BINS * SLOPE_BINS * 18
+        return cls(numbers[:size].reshape(SLOPE_BINS, SLOPE_BINS, 6, 3), numbers[size:].reshape(-1, 3))
 
     def added(self, face: Face, lamps: "Floats", mm_per_px: float) -> "Floats":
         """Linear radiance (h, w, 3) that the face adds to the untouched picture; see `fitted` for the arguments."""
-        some = np.ascontiguousarray(face.height[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE])
-        dark = np.pad(shadows(some, lamps, COARSE * mm_per_px) @ self.shade, ((0, 1), (0, 1), (0, 0)), "edge")
+        some = np.ascontiguousarray(
+            face.height[SHADOW_SPACING_PX // 2 :: SHADOW_SPACING_PX, SHADOW_SPACING_PX // 2 :: SHADOW_SPACING_PX]
+        )
+        dark = np.pad(
+            shadows(some, lamps, SHADOW_SPACING_PX * mm_per_px) @ self.shade, ((0, 1), (0, 1), (0, 0)), "edge"
+        )
         return _look_up(self.terms, face.slope, quadratic_basis(face.height.shape), dark)
 
 
@@ -107,7 +114,7 @@ def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
     field = np.array([camera.width_px, camera.height_px]) * camera.mm_per_px / 2
     reach = np.minimum(field, np.array([gel.width_mm, gel.height_mm]) / 2)
     thick = sum(layer.thickness_mm for layer in gel.layers)
-    for (x, y), (share, slope) in zip(PLACES, cycle(BALLS), strict=False):
+    for (x, y), (share, slope) in zip(DENT_CENTRES, cycle(DENT_BALLS), strict=False):
         at = np.add(camera.center_mm, camera.crop_mm) + reach * (x, y)
         yield BallDent(share * thick, slope * share * thick, (float(at[0]), float(at[1])), untouched, thick)
 
@@ -122,23 +129,25 @@ def quadratic_basis(shape: tuple[int, int]) -> "Floats":
 
 def _bin(slope: "Floats") -> "NDArray[np.int64]":
     """The nearest bin, counted row by row."""
-    i = np.clip(np.rint((slope + 1) / 2 * (BINS - 1)), 0, BINS - 1).astype(np.int64)
-    return np.asarray(i[..., 1] * BINS + i[..., 0])
+    i = np.clip(np.rint((slope + 1) / 2 * (SLOPE_BINS - 1)), 0, SLOPE_BINS - 1).astype(np.int64)
+    return np.asarray(i[..., 1] * SLOPE_BINS + i[..., 0])
 
 
 def _solved(a: "Floats", b: "Floats") -> "Floats":
-    """Polynomials (BINS, BINS, 6, 3) from the bins' normal equations (BINS^2, 6, 6) and (BINS^2, 6, 3)."""
+    """Polynomials (SLOPE_BINS, SLOPE_BINS, 6, 3) from the bins' normal equations (SLOPE_BINS^2, 6, 6) and
+    (SLOPE_BINS^2, 6, 3).
+    """
     from scipy.ndimage import gaussian_filter
 
     def shared(part: "Floats") -> "Floats":
-        grid = part.reshape(BINS, BINS, -1)
-        spread = [share * gaussian_filter(grid, (width, width, 0), mode="constant") for width, share in SHARED]
+        grid = part.reshape(SLOPE_BINS, SLOPE_BINS, -1)
+        spread = [share * gaussian_filter(grid, (width, width, 0), mode="constant") for width, share in BIN_SHARING]
         return np.asarray(sum(spread).reshape(part.shape))
 
     left, right = shared(a), shared(b)
-    drawn = np.diag([0.0, 1, 1, 1, 1, 1]) * RIDGE
+    drawn = np.diag([0.0, 1, 1, 1, 1, 1]) * POSITION_RIDGE
     left += left[:, :1, :1] * drawn + 1e-30 * np.eye(6)
-    return np.asarray(np.linalg.solve(left, right).reshape(BINS, BINS, 6, 3), dtype=np.float64)
+    return np.asarray(np.linalg.solve(left, right).reshape(SLOPE_BINS, SLOPE_BINS, 6, 3), dtype=np.float64)
 
 
 @njit(cache=True)
@@ -173,7 +182,7 @@ def _look_up(terms: "Floats", slope: "Floats", basis: "Floats", dark: "Floats") 
     n, rows, columns = terms.shape[0] - 1, dark.shape[0] - 1, dark.shape[1] - 1
     out, numbers, here = np.empty((h, w, 3)), terms.ravel(), np.empty(18)
     for y in range(h):
-        j0, d = _between((y - COARSE // 2) / COARSE, rows)
+        j0, d = _between((y - SHADOW_SPACING_PX // 2) / SHADOW_SPACING_PX, rows)
         for x in range(w):
             i, a = _between((slope[y, x, 0] + 1) / 2 * n, n)
             j, b = _between((slope[y, x, 1] + 1) / 2 * n, n)
@@ -181,7 +190,7 @@ def _look_up(terms: "Floats", slope: "Floats", basis: "Floats", dark: "Floats") 
             high = numbers[18 * ((j + 1) * (n + 1) + i) :][:36]
             for m in range(18):
                 here[m] = (1 - b) * ((1 - a) * low[m] + a * low[m + 18]) + b * ((1 - a) * high[m] + a * high[m + 18])
-            i0, e = _between((x - COARSE // 2) / COARSE, columns)
+            i0, e = _between((x - SHADOW_SPACING_PX // 2) / SHADOW_SPACING_PX, columns)
             for c in range(3):
                 light = 0.0
                 for k in range(6):

@@ -7,7 +7,7 @@ from importlib import import_module
 
 from tacgen.outputs.base import DrawnMap, Entry, Output
 
-NAMES = (  # in the order in which recipes are stored
+OUTPUT_NAMES = (  # in the order in which recipes are stored
     "force",
     "traction",
     "events",
@@ -23,12 +23,13 @@ NAMES = (  # in the order in which recipes are stored
     "radiance",
     "rgb",
 )
-BLOCKS = ("uncertainty", "grasp")  # not asked for by name, but by the block of that name in the recipe
-PLACES = "positions"  # made wherever another output has a map
+BLOCK_OUTPUTS = ("uncertainty", "grasp")  # not asked for by name, but by the block of that name in the recipe
+POSITIONS_OUTPUT = "positions"  # made wherever another output has a map
 OUTPUTS: dict[str, Output] = {
-    name: import_module(f"tacgen.outputs.{name}").OUTPUT for name in (*NAMES, *BLOCKS, PLACES, "files")
+    name: import_module(f"tacgen.outputs.{name}").OUTPUT
+    for name in (*OUTPUT_NAMES, *BLOCK_OUTPUTS, POSITIONS_OUTPUT, "files")
 }
-WITH_MAPS = frozenset(name for name in NAMES if any("h" in row.dims for row in OUTPUTS[name].rows.values()))
-IMAGES = frozenset(name for name, output in OUTPUTS.items() if output.needs == "light")
+MAP_OUTPUTS = frozenset(name for name in OUTPUT_NAMES if any("h" in row.dims for row in OUTPUTS[name].rows.values()))
+IMAGE_OUTPUTS = frozenset(name for name, output in OUTPUTS.items() if output.needs == "light")
 LAYOUT: dict[str, Entry] = {path: row for output in OUTPUTS.values() for path, row in output.rows.items()}
 DRAWN_MAPS: dict[str, DrawnMap] = {name: layer for output in OUTPUTS.values() for name, layer in output.maps.items()}

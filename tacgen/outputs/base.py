@@ -14,9 +14,9 @@ else:
     FrameData = SceneData = Any  # numerics, which a description is read without
 
 Datasets = dict[str, Any]  # by their paths in the bundle
-AXES = {"N": "frame", "h": "row", "w": "column", "H": "row", "W": "column", "M": "marker", "m": "cell"}
-AXES |= {"n": "node", "k": "node", "2": "xy", "3": "xyz", "6": "component"}
-FAR = 1e6  # [mm] limit of poses and nodes
+DIMENSION_NAMES = {"N": "frame", "h": "row", "w": "column", "H": "row", "W": "column", "M": "marker", "m": "cell"}
+DIMENSION_NAMES |= {"n": "node", "k": "node", "2": "xy", "3": "xyz", "6": "component"}
+MAX_COORDINATE_MM = 1e6  # [mm] limit of poses and nodes
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Entry:
     shape: str  # sizes of the axes, such as "N h w 2"; N: the number of frames
     units: str  # "1" is dimensionless
     long_name: str
-    axes: str = ""  # one word an axis; empty: those of AXES
+    axes: str = ""  # one word an axis; empty: those of DIMENSION_NAMES
     nan: bool = False  # may hold nan: where a pixel shows no gel, or not the point in question
     below: str = ""  # the size of which all values are indices, from 0 on
     most: float = math.inf  # largest magnitude: what is computed from larger values, or nan, fails
@@ -42,7 +42,7 @@ class Entry:
     bits: int | None = None  # rounded to so many significant bits
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axes", self.axes or " ".join(AXES[size] for size in self.shape.split()))
+        object.__setattr__(self, "axes", self.axes or " ".join(DIMENSION_NAMES[size] for size in self.shape.split()))
 
     @cached_property
     def dims(self) -> tuple[str | int, ...]:

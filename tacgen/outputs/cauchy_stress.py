@@ -12,12 +12,12 @@ import numpy as np
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import facet_areas, facet_points
-from tacgen.fem.stress_recovery import FULL, Recovery
+from tacgen.fem.stress_recovery import VOIGT_INDEX, Recovery
 from tacgen.mechanics import Problem, State
 from tacgen.mechanics.barrier import Faces
 
 Array = np.ndarray
-VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy
+VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Stresses:
         the recovered one, over the rms of the latter. The first two are 0 without contact.
         """
         area = stress.area
-        pull = np.einsum("nij,nj->ni", stress.node[self.face.nodes][:, FULL], area)
+        pull = np.einsum("nij,nj->ni", stress.node[self.face.nodes][:, VOIGT_INDEX], area)
         push = self.problem.contact.faces.shared(state.traction_force, len(state.x))[self.face.nodes]
         size = np.linalg.norm(area, axis=1, keepdims=True)
         measures = {"force_error": 0.0, "traction_error": 0.0}
@@ -90,7 +90,7 @@ def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
     """Element means of the Cauchy stress over the volume now (e, 6), and of the nominal stress P over that at rest
     (e, 9) [MPa]."""
     mean, P = elastic.mean_stress(elastic.evaluate(x))
-    return np.stack([mean[:, i, j] for i, j in VOIGT], -1), P.reshape(-1, 9)
+    return np.stack([mean[:, i, j] for i, j in VOIGT_PAIRS], -1), P.reshape(-1, 9)
 
 
 def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
@@ -98,11 +98,11 @@ def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
 
     s + d o n + n o d - (d.n) n o n  with d the difference of the traction: symmetric, in-plane part unchanged.
     """
-    missing = traction - np.einsum("nij,nj->ni", stress[:, FULL], normal)
+    missing = traction - np.einsum("nij,nj->ni", stress[:, VOIGT_INDEX], normal)
     outer = missing[:, :, None] * normal[:, None]
     along = (missing * normal).sum(1)[:, None, None]
     change = outer + outer.swapaxes(1, 2) - along * normal[:, :, None] * normal[:, None]
-    return np.asarray(stress + np.stack([change[:, i, j] for i, j in VOIGT], -1))
+    return np.asarray(stress + np.stack([change[:, i, j] for i, j in VOIGT_PAIRS], -1))
 
 
 class _Face:

@@ -3,7 +3,7 @@
 The mode of a frame follows from its labels and the pose before it, not from the movement in the recipe. It is the first
 of these that is true:
 
-    apart            hardly any pressure: less than FAINT
+    apart            hardly any pressure: less than MIN_PRESSURE_PER_SHEAR_MODULUS
     releasing        the normal force falls, and the indenter moves off the gel more than sideways
     sliding          the whole contact slips, and the indenter moves sideways
     turning          the same, but at the contact's mean radius it rotates by more than it moves sideways
@@ -18,30 +18,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.fem.elements import facet_areas, triangles
-from tacgen.outputs.contact_maps import RIM_SHARE
-from tacgen.outputs.contact_modes import MODES
+from tacgen.outputs.contact_maps import MIN_CONTACT_SHARE
+from tacgen.outputs.contact_modes import CONTACT_MODES
 
 if TYPE_CHECKING:
     from tacgen.mechanics import Problem, State
     from tacgen.mechanics.barrier import Faces
 
 Array = np.ndarray
-APART, TOUCHING, STICKING, SLIPPING, SLIDING, TURNING, RELEASING = range(len(MODES))
-FAINT = 3e-3  # mean pressure over the shear modulus [-]; below, the barrier acts before the gel is indented
-UNLOADED = 0.1  # friction used [-]; below, there is hardly any tangential load
-NEARLY_ALL = 0.95  # share of the pressure that sticks [-]; above, the contact is sticking
-FULL = 0.9  # friction used [-]; above, the contact may slide as a whole
-STILL = 1e-6  # motion between frames [mm]; below, the indenter is at rest
-ROUNDS = 30  # iterations of the search for the weakest motion; it has converged to 1e-3 by then
+APART, TOUCHING, STICKING, SLIPPING, SLIDING, TURNING, RELEASING = range(len(CONTACT_MODES))
+# mean pressure over the shear modulus [-]; below, the barrier acts before the gel is indented
+MIN_PRESSURE_PER_SHEAR_MODULUS = 3e-3
+MIN_TANGENTIAL_LOAD = 0.1  # friction used [-]; below, there is hardly any tangential load
+MIN_STICKING_SHARE = 0.95  # share of the pressure that sticks [-]; above, the contact is sticking
+MIN_SLIDING_FRICTION_USE = 0.9  # friction used [-]; above, the contact may slide as a whole
+MAX_REST_MOTION_MM = 1e-6  # motion between frames [mm]; below, the indenter is at rest
+WEAKEST_MOTION_STEPS = 30  # iterations of the search for the weakest motion; it has converged to 1e-3 by then
 
 
 @dataclass(frozen=True)
 class Events:
     """The contact in one frame; all are 0 where nothing touches.
 
-    mode: index in MODES; stick_ratio: share of the pressure that sticks [-]; friction_used: see the function of that
-    name [-]; center_of_pressure (3,) in the sensor frame [mm]; contact_area of the deformed face [mm^2], and its number
-    of connected patches, whether the camera sees them or not.
+    mode: index in CONTACT_MODES; stick_ratio: share of the pressure that sticks [-]; friction_used: see the function of
+    that name [-]; center_of_pressure (3,) in the sensor frame [mm]; contact_area of the deformed face [mm^2], and its
+    number of connected patches, whether the camera sees them or not.
     """
 
     mode: int = APART
@@ -56,7 +57,7 @@ def events(problem: "Problem", state: "State", before: "State | None") -> Events
     """The contact in a state; `before` is the state of the previous frame, None in the first."""
     faces, on = problem.contact.faces, state.normal_force > 0
     force = state.normal_force[on]
-    if force.sum() <= FAINT * problem.elastic[-1].law.mu * faces.areas[on].sum():
+    if force.sum() <= MIN_PRESSURE_PER_SHEAR_MODULUS * problem.elastic[-1].law.mu * faces.areas[on].sum():
         return Events()
     at = faces.at(state.x)[on]
     center = force @ at / force.sum()
@@ -66,28 +67,32 @@ def events(problem: "Problem", state: "State", before: "State | None") -> Events
         used = friction_used(at - center, state.normal[on], problem.friction * force, state.friction[on])
     radius = float(force @ np.hypot(*(at - center).T[:2]) / force.sum())
     away, sideways, turned = (0.0, 0.0, 0.0) if before is None else _moved(before.pose, state.pose, center, radius)
-    if before is not None and away > max(sideways, STILL) and force.sum() < before.normal_force.sum():
+    if before is not None and away > max(sideways, MAX_REST_MOTION_MM) and force.sum() < before.normal_force.sum():
         mode = RELEASING
-    elif stick < 1 - NEARLY_ALL and used > FULL and max(sideways, turned) > STILL:
+    elif (
+        stick < 1 - MIN_STICKING_SHARE
+        and used > MIN_SLIDING_FRICTION_USE
+        and max(sideways, turned) > MAX_REST_MOTION_MM
+    ):
         mode = SLIDING if sideways >= turned else TURNING
-    elif used < UNLOADED:
+    elif used < MIN_TANGENTIAL_LOAD:
         mode = TOUCHING
     else:
-        mode = STICKING if stick > NEARLY_ALL else SLIPPING
+        mode = STICKING if stick > MIN_STICKING_SHARE else SLIPPING
     return Events(mode, stick, used, tuple(center), *touched(faces, state.x, on))
 
 
 def touched(faces: "Faces", x: Array, on: Array) -> tuple[float, int]:
     """Area [mm^2] of the face at nodal positions x (n, 3) that touches, and the number of its connected patches.
 
-    It is where RIM_SHARE of the points around, `on` (f, q) of which touch, as in the map of contact; the points alone
-    where no node has so many around it.
+    It is where MIN_CONTACT_SHARE of the points around, `on` (f, q) of which touch, as in the map of contact; the points
+    alone where no node has so many around it.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     touching, around = faces.shared(np.stack([faces.areas * on, faces.areas], -1), len(x)).T
-    above = np.divide(touching, around, out=np.zeros(len(x)), where=around > 0) - RIM_SHARE
+    above = np.divide(touching, around, out=np.zeros(len(x)), where=around > 0) - MIN_CONTACT_SHARE
     drawn, stretch = triangles(faces.conn), facet_areas(x, faces.conn)[0].sum(1) / faces.areas.sum(1)
     if faces.conn.shape[1] == 4:  # around their middles, which no diagonal favours
         x, above = (np.concatenate([each, each[faces.conn].mean(1)]) for each in (x, above))
@@ -136,7 +141,7 @@ def friction_used(arm: Array, normal: Array, most: Array, friction: Array) -> fl
     along -= normal[:, :, None] * np.einsum("ki,kij->kj", normal, along)[:, None]
     load, weight, most_used = np.einsum("ki,kij->j", friction, along), most, 0.0
     squared = np.einsum("kia,kib->kab", along, along).reshape(-1, 9)  # of the motion, to the squared way of each point
-    for _ in range(ROUNDS):
+    for _ in range(WEAKEST_MOTION_STEPS):
         motion = np.linalg.lstsq((weight @ squared).reshape(3, 3), load, rcond=None)[0]
         way = np.sqrt(np.maximum(squared @ np.outer(motion, motion).ravel(), 0.0))
         if not (taken := float(most @ way)) > 0:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.fem.elements import (
-    PIECES,
+    FACET_TRIANGLES,
     facet_areas,
     facet_corners,
     facet_hats,
@@ -24,10 +24,11 @@ if TYPE_CHECKING:
     from tacgen.optics.camera import PinholeCamera
 
 Array = np.ndarray
-RIM_SHARE = 0.4  # share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
-VISIBLE_SHARE = 0.9  # share of a node's area [-]; a node of which the camera sees less is partly out of view
-LEAST_FORCE = 1e-3  # of the sum of normal forces [-]: the least that resultants are divided by, if these cancel
-COULOMB, ROUNDING = 1e-3, 1e-9  # relative tolerances of Coulomb's law, and of shares between 0 and 1 [-]
+# share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
+MIN_CONTACT_SHARE = 0.4
+MIN_VISIBLE_SHARE = 0.9  # share of a node's area [-]; a node of which the camera sees less is partly out of view
+MIN_FORCE_SHARE = 1e-3  # of the sum of normal forces [-]: the least that resultants are divided by, if these cancel
+COULOMB_TOL, SHARE_ROUNDING = 1e-3, 1e-9  # relative tolerances of Coulomb's law, and of shares between 0 and 1 [-]
 SHARPENING_STEPS = {4: 2, 3: 2, 6: 0}  # Richardson-Lucy steps by nodes of a facet (see `maps`); more amplify noise
 
 
@@ -114,7 +115,7 @@ def resultant_errors(view: "Shares", surface: GelSurface, state: State, maps: Ma
 def over_force(difference: Array, state: State) -> float:
     """Norm of a force (3,) [N] over that of the contact force [-]; 0 without contact."""
     size = float(np.linalg.norm(state.traction_force.sum((0, 1))))
-    size = max(size, LEAST_FORCE * float(state.normal_force.sum()))
+    size = max(size, MIN_FORCE_SHARE * float(state.normal_force.sum()))
     return float(np.linalg.norm(difference)) / size if size > 0 else 0.0
 
 
@@ -146,8 +147,8 @@ def _obeys_coulomb(level: Array, state: State, friction: float) -> Array:
     kept = normal >= 0
     if state.friction is not None and state.sliding is not None:
         slid = (state.normal_force * state.sliding) @ level.T
-        kept &= (slid >= -ROUNDING * normal) & (slid <= (1 + ROUNDING) * normal)
-        kept &= np.linalg.norm(level @ state.friction, axis=-1) <= (1 + COULOMB) * friction * normal
+        kept &= (slid >= -SHARE_ROUNDING * normal) & (slid <= (1 + SHARE_ROUNDING) * normal)
+        kept &= np.linalg.norm(level @ state.friction, axis=-1) <= (1 + COULOMB_TOL) * friction * normal
     return np.asarray(kept.all(1))
 
 
@@ -184,7 +185,7 @@ class Shares:
         self._pixels = np.flatnonzero(self.seen)
         self.seen_area = self.area.ravel()[self._pixels]
         piece, number = np.divmod(hit.ravel()[self._pixels], len(facets))
-        ends = facet_corners(kind)[np.array(PIECES[kind])][piece]  # corners of its triangle, (p, 3, 2)
+        ends = facet_corners(kind)[np.array(FACET_TRIANGLES[kind])][piece]  # corners of its triangle, (p, 3, 2)
         v, w = place.reshape(-1, 2)[self._pixels].T[..., None]
         hats = facet_hats(kind, (1 - v - w) * ends[:, 0] + v * ends[:, 1] + w * ends[:, 2])
         starts, size = kind * np.arange(len(hats) + 1), (len(hats), len(surface.now))
@@ -194,14 +195,14 @@ class Shares:
         areas = facet_areas(surface.now, facets)[0]
         areas = areas @ facet_shares(facet_points(kind)[0], areas)
         whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._weighted_area()
-        self._visible = np.where(visible > VISIBLE_SHARE * whole, 1.0, visible / np.maximum(whole, 1e-300))
+        self._visible = np.where(visible > MIN_VISIBLE_SHARE * whole, 1.0, visible / np.maximum(whole, 1e-300))
         outside = np.any((screen < 0) | (screen >= camera.shape[::-1]), axis=1)
         cut = np.zeros(len(surface.now), bool)
         cut[facets[outside[facets].any(1)]] = True  # what these nodes lack is outside the picture
         self._hidden = np.where(cut, 0.0, 1 - self._visible)
         self._points = contact.at(state.x), camera
         touching, around = (self.at(self.nodal(contact.areas * part)) for part in (on, 1.0))
-        self.contact = (touching / around)[:, 0] >= RIM_SHARE
+        self.contact = (touching / around)[:, 0] >= MIN_CONTACT_SHARE
 
     def nodal(self, per_point: Array) -> Array:
         """Nodal sums (s, c) of values at the contact points, (f, q, c) or (f, q)."""

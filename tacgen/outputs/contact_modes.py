@@ -1,3 +1,3 @@
 """The modes of a contact as a whole, by their numbers in bundles; contact_events says when each is true."""
 
-MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")
+CONTACT_MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")

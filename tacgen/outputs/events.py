@@ -1,7 +1,7 @@
 """The state of the contact as a whole, one mode and five numbers a frame."""
 
 from tacgen.outputs.base import Datasets, Entry, FrameData, Output, number
-from tacgen.outputs.contact_modes import MODES as MODES
+from tacgen.outputs.contact_modes import CONTACT_MODES as CONTACT_MODES
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -15,7 +15,7 @@ OUTPUT = Output(
     "the contact as a whole: mode, stick ratio, friction used, centre of pressure, area, patches",
     {
         "/frames/events/mode": Entry(
-            "<i4", "N", "1", ", ".join(f"{number} {mode}" for number, mode in enumerate(MODES))
+            "<i4", "N", "1", ", ".join(f"{number} {mode}" for number, mode in enumerate(CONTACT_MODES))
         ),
         "/frames/events/stick_ratio": number("share of the normal force that does not slide"),
         "/frames/events/friction_used": number(

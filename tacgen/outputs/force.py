@@ -1,6 +1,6 @@
 """Pose of the indenter, force and torque on the gel, and how well the frame is solved: in every bundle."""
 
-from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, number
+from tacgen.outputs.base import MAX_COORDINATE_MM, Datasets, Entry, FrameData, Output, number
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -38,7 +38,12 @@ OUTPUT = Output(
     "pose, force and torque; these are in every bundle",
     {
         "/frames/pose": Entry(
-            "<f8", "N 4 4", "mm", "pose of the indenter in the sensor frame", axes="frame row column", most=FAR
+            "<f8",
+            "N 4 4",
+            "mm",
+            "pose of the indenter in the sensor frame",
+            axes="frame row column",
+            most=MAX_COORDINATE_MM,
         ),
         "/frames/segment": Entry("<i4", "N", "1", "index of the trajectory segment the frame belongs to"),
         "/frames/time": number("time since the start of the path, where time counts", "s"),

@@ -3,7 +3,7 @@
 from tacgen.outputs import traction
 from tacgen.outputs.base import Datasets, Entry, FrameData, Output, number
 
-UNSEEN = "/frames/quality/unseen_force"
+UNSEEN_FORCE_PATH = "/frames/quality/unseen_force"
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -14,7 +14,7 @@ def _frame(frame: FrameData) -> Datasets:
         "/frames/force_map": frame.maps.force,
         "/frames/area": frame.maps.area,
         "/frames/quality/force_map_resultant": over_force(missing, frame.state),
-        UNSEEN: frame.maps.unseen,
+        UNSEEN_FORCE_PATH: frame.maps.unseen,
     }
 
 
@@ -24,7 +24,7 @@ OUTPUT = Output(
         "/frames/force_map": Entry("<f4", "N h w 3", "N", "force on the gel behind each sample", bits=17),
         "/frames/area": Entry("<f4", "N h w", "mm^2", "area of the deformed coated face behind each sample", bits=13),
         "/frames/quality/force_map_resultant": number("sum of force_map less force, over force"),
-        UNSEEN: traction.OUTPUT.rows[UNSEEN],
+        UNSEEN_FORCE_PATH: traction.OUTPUT.rows[UNSEEN_FORCE_PATH],
     },
     _frame,
 )

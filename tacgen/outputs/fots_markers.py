@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import Gel
 
 Array = np.ndarray
-FACE_SPACING = 0.3  # spacing of the points of the face at which the depth is evaluated [mm]
+DEPTH_SPACING_MM = 0.3  # spacing of the points of the face at which the depth is evaluated [mm]
 
 
 class FotsMarkers:
@@ -29,7 +29,7 @@ class FotsMarkers:
 
     def __init__(self, motion: "Motion", rest: Array, gel: "Gel", shape: "Shape", camera: "PinholeCamera") -> None:
         """`rest` (n, 2) [mm]."""
-        untouched, sheet = Untouched.of(gel), Sheet.over(gel, FACE_SPACING)
+        untouched, sheet = Untouched.of(gel), Sheet.over(gel, DEPTH_SPACING_MM)
         self.motion, self.shape, self.camera = motion, shape, camera
         self._face = sheet.at(replace(untouched, skin=0.0))  # the touched surface, not the printed one below the skin
         self._cell = float(np.prod(sheet.size)) / len(self._face)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from tacgen.mechanics.mesh import GelMesh
 
 Array = np.ndarray
-MIN_EDGES = 3  # indenter's smallest radius over the element edge, from which the face follows the indenter [-]
-LEAST_WEIGHT = 1e-3  # of the gap beside a contact, below which the face is drawn by its nodes alone [-]
-STEEPEST = 0.2  # z component of an indenter's normal below which the face is not made tangent to it [-]
+MIN_RADIUS_EDGES = 3  # indenter's smallest radius over the element edge, from which the face follows the indenter [-]
+MIN_GAP_WEIGHT = 1e-3  # of the gap beside a contact, below which the face is drawn by its nodes alone [-]
+MIN_TANGENT_NORMAL_Z = 0.2  # z component of an indenter's normal below which the face is not made tangent to it [-]
 
 
 class GelSurface:
@@ -60,7 +60,7 @@ class GelSurface:
         the indenter's curvature.
         """
         new, shape = self.moved(state.x), problem.contact.shape
-        if self.facets.shape[1] > 1 and shape.smallest_radius >= MIN_EDGES * problem.edge:
+        if self.facets.shape[1] > 1 and shape.smallest_radius >= MIN_RADIUS_EDGES * problem.edge:
             new._contact = shape, Pose.of(state.pose), state.normal_force > 0, problem.edge
         return new
 
@@ -73,7 +73,7 @@ class GelSurface:
         touched, edge = self._contact[2:]
         gap, normal = self._to_indenter(self.now)
         most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # over half of the points touch
-        lies = (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
+        lies = (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > MIN_TANGENT_NORMAL_Z)
         placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal
         opening = contact_rim.openings(self.rest[:, :2], gap, lies, edge)
         nodal = self._between.nodal(placed if opening is None else np.hstack([placed, opening]))
@@ -101,11 +101,11 @@ class GelSurface:
         found = self._between.at(xy, self._nodal)
         if found.shape[1] == 3:
             return found
-        near = np.flatnonzero(found[:, 4] > LEAST_WEIGHT)
+        near = np.flatnonzero(found[:, 4] > MIN_GAP_WEIGHT)
         moved, opening, weight = np.split(found[near], [3, 4], axis=1)
         gap, normal = self._to_indenter(moved)
         by = np.minimum(weight[:, 0], 1.0) * (contact_rim.gaps(opening[:, 0]) - gap)
-        found[near, :3] = moved + np.where(np.abs(normal[:, 2]) > STEEPEST, by, 0.0)[:, None] * normal
+        found[near, :3] = moved + np.where(np.abs(normal[:, 2]) > MIN_TANGENT_NORMAL_Z, by, 0.0)[:, None] * normal
         return found[:, :3]
 
 

@@ -1,6 +1,6 @@
 """The object and the fingers of a grasp, in each finger's bundle."""
 
-from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, number
+from tacgen.outputs.base import MAX_COORDINATE_MM, Datasets, Entry, FrameData, Output, number
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -20,10 +20,20 @@ OUTPUT = Output(
     "with the block `grasp`: poses of object and sensor, opening, weight that is not held",
     {
         "/frames/grasp/object": Entry(
-            "<f8", "N 4 4", "mm", "pose of the object in the world frame of a grasp", axes="frame row column", most=FAR
+            "<f8",
+            "N 4 4",
+            "mm",
+            "pose of the object in the world frame of a grasp",
+            axes="frame row column",
+            most=MAX_COORDINATE_MM,
         ),
         "/frames/grasp/sensor": Entry(
-            "<f8", "N 4 4", "mm", "pose of this finger's sensor frame in the world", axes="frame row column", most=FAR
+            "<f8",
+            "N 4 4",
+            "mm",
+            "pose of this finger's sensor frame in the world",
+            axes="frame row column",
+            most=MAX_COORDINATE_MM,
         ),
         "/frames/grasp/width_mm": number("distance of the fingers' untouched faces", "mm"),
         "/frames/grasp/mode": Entry(

@@ -29,10 +29,11 @@ if TYPE_CHECKING:
     from tacgen.render.pictures import Pictures, Shot
 
 Array = np.ndarray
-SHEET_MARGIN = 1.0  # [mm] by which a sheet is larger than its first face asks
-OUTWARD = np.array([-1, 1, -1, 1])
-SHEET_SPACING = 0.1, 0.2  # least, most [mm] between the nodes on which height, normals, gap and the flow are drawn
-SHEET_NODES = 3  # an edge of the mesh: with more of them labels are no nearer to those on a mesh of .22 mm
+SHEET_MARGIN_MM = 1.0  # [mm] by which a sheet is larger than its first face asks
+BOX_OUTWARD = np.array([-1, 1, -1, 1])
+# least, most [mm] between the nodes on which height, normals, gap and the flow are drawn
+SHEET_SPACING_RANGE_MM = 0.1, 0.2
+SHEET_NODES_PER_EDGE = 3  # an edge of the mesh: with more of them labels are no nearer to those on a mesh of .22 mm
 
 
 class _Faces(ABC):
@@ -108,9 +109,9 @@ class SceneData(_Faces):
         """
         from tacgen.optics.surface_grid import Sheet
 
-        if self._sheet is None or (OUTWARD * (np.array(self._sheet.box) - box) < 0).any():
-            spacing = float(np.clip(self.problem.edge / SHEET_NODES, *SHEET_SPACING))
-            self._sheet = Sheet.over(self.sensor.gel, spacing, tuple(box + SHEET_MARGIN * OUTWARD))
+        if self._sheet is None or (BOX_OUTWARD * (np.array(self._sheet.box) - box) < 0).any():
+            spacing = float(np.clip(self.problem.edge / SHEET_NODES_PER_EDGE, *SHEET_SPACING_RANGE_MM))
+            self._sheet = Sheet.over(self.sensor.gel, spacing, tuple(box + SHEET_MARGIN_MM * BOX_OUTWARD))
         return self._sheet
 
     @cached_property

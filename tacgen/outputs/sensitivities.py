@@ -13,19 +13,21 @@ from tacgen.mechanics.sensitivity import Parameter, Sensitivity
 from tacgen.sensor.model import Gel
 
 Array = np.ndarray
-COARSER, ORDER = 1.5, 1.5  # edge ratio of the second mesh [-]; order of convergence, 1 to 2 for forces and maps
-MESH_ERROR = 1 / (COARSER**ORDER - 1)  # error over the difference of both meshes (Richardson extrapolation) [-]
-LEAST = 0.05  # smallest difference of a force's component over that of the whole force [-]
-SMALL = 1e-3  # relative change of the contact force in difference quotients of maps [-]
+# edge ratio of the second mesh [-]; order of convergence, 1 to 2 for forces and maps
+COARSE_EDGE_RATIO, CONVERGENCE_ORDER = 1.5, 1.5
+# error over the difference of both meshes (Richardson extrapolation) [-]
+RICHARDSON_FACTOR = 1 / (COARSE_EDGE_RATIO**CONVERGENCE_ORDER - 1)
+MIN_COMPONENT_SHARE = 0.05  # smallest difference of a force's component over that of the whole force [-]
+FORCE_DIFFERENCE_RATIO = 1e-3  # relative change of the contact force in difference quotients of maps [-]
 
 
 def on_coarser_mesh(built: Scene) -> tuple[Problem, Iterator[State]]:
-    """A scene's frames with element edges and contact range COARSER times as long.
+    """A scene's frames with element edges and contact range COARSE_EDGE_RATIO times as long.
 
     Raises:
         NotConverged: a frame has no solution on that mesh.
     """
-    built = replace(built, edge=COARSER * built.edge, dhat=COARSER * built.dhat)
+    built = replace(built, edge=COARSE_EDGE_RATIO * built.edge, dhat=COARSE_EDGE_RATIO * built.dhat)
     problem = Problem.of(built, mesh.of(built))
     return problem, _solved(built, problem)
 
@@ -40,12 +42,12 @@ def _solved(built: Scene, problem: Problem) -> Iterator[State]:
 def mesh_variance(here: Array, coarse: Array, window: int) -> Array:
     """Variance by the discretisation error, of a force (3,) or of maps (h, w, ...).
 
-    A single difference may be small by chance: to that of a force's component LEAST of the whole force's is added, and
-    a pixel's square is the mean of the window [px] around it.
+    A single difference may be small by chance: to that of a force's component MIN_COMPONENT_SHARE of the whole force's
+    is added, and a pixel's square is the mean of the window [px] around it.
     """
-    square = (MESH_ERROR * (coarse - here)) ** 2
+    square = (RICHARDSON_FACTOR * (coarse - here)) ** 2
     if here.ndim == 1:
-        return np.asarray(square + LEAST**2 * square.sum())
+        return np.asarray(square + MIN_COMPONENT_SHARE**2 * square.sum())
     return np.asarray(np.maximum(uniform_filter(square, (window, window, *(1,) * (here.ndim - 2))), 0.0))
 
 
@@ -99,7 +101,8 @@ class Sensitivities:
 
 def _moved(name: str, deviation: float, state: State, force: Array, normal_force: Array, normal: Array) -> Input:
     pressed, change = float(state.normal_force.sum()), float(np.abs(force).sum())
-    step = SMALL * pressed / max(change, 1e-300) or SMALL  # SMALL without contact
+    # FORCE_DIFFERENCE_RATIO without contact
+    step = FORCE_DIFFERENCE_RATIO * pressed / max(change, 1e-300) or FORCE_DIFFERENCE_RATIO
     N, n = state.normal_force + step * normal_force, state.normal + step * normal
     rub = None if state.friction is None else state.traction_force + step * force - N[..., None] * n
     return Input(name, deviation, force.sum((0, 1)), replace(state, normal_force=N, normal=n, friction=rub), step)

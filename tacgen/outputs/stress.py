@@ -1,6 +1,6 @@
 """Displacement and Cauchy stress of the whole gel, with its mesh."""
 
-from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, SceneData, number
+from tacgen.outputs.base import MAX_COORDINATE_MM, Datasets, Entry, FrameData, Output, SceneData, number
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -22,10 +22,10 @@ def _mesh(scene: SceneData) -> Datasets:
 OUTPUT = Output(
     "mesh, displacement, Cauchy stress of cells and nodes",
     {
-        "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", most=FAR),
+        "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", most=MAX_COORDINATE_MM),
         "/fields/cauchy_stress": Entry("<f4", "N m 6", "MPa", "stress, xx yy zz yz xz xy"),
         "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "stress, xx yy zz yz xz xy"),
-        "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", most=FAR),
+        "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", most=MAX_COORDINATE_MM),
         "/mesh/cells": Entry("<i4", "m 4|8|10", "1", "nodes of each cell", axes="cell corner", below="n"),
         "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", below="m"),
         "/mesh/facets/*": Entry(

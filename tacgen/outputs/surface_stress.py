@@ -1,6 +1,6 @@
 """Displacement and Cauchy stress of the coated face alone."""
 
-from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, SceneData
+from tacgen.outputs.base import MAX_COORDINATE_MM, Datasets, Entry, FrameData, Output, SceneData
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -24,7 +24,7 @@ OUTPUT = Output(
     {
         "/fields/surface_displacement": Entry("<f4", "N k 3", "mm", "displacement of the coated face"),
         "/fields/surface_stress": Entry("<f4", "N k 6", "MPa", "stress of the coated face, xx yy zz yz xz xy"),
-        "/mesh/surface/points": Entry("<f8", "k 3", "mm", "nodes of the coated face at rest", most=FAR),
+        "/mesh/surface/points": Entry("<f8", "k 3", "mm", "nodes of the coated face at rest", most=MAX_COORDINATE_MM),
         "/mesh/surface/facets": Entry(
             "<i4", "* 3|4|6", "1", "nodes of each facet, numbered as in points", axes="facet corner", below="k"
         ),

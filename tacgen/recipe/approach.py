@@ -7,9 +7,9 @@ if TYPE_CHECKING:
     from tacgen.recipe.model import Recipe
     from tacgen.recipe.row import Row
 
-NO_CONTACT = "touches the gel in no frame"
-MISSED = NO_CONTACT + ": closest approach {:.3g} mm"
-KEEP = "check its start or poses, and their unit; may_miss: true keeps such scenes"
+NO_CONTACT_MESSAGE = "touches the gel in no frame"
+MISSED_MESSAGE = NO_CONTACT_MESSAGE + ": closest approach {:.3g} mm"
+KEEP_HINT = "check its start or poses, and their unit; may_miss: true keeps such scenes"
 
 
 def verdict(recipe: "Recipe", gap: float) -> tuple[bool, str]:
@@ -18,8 +18,8 @@ def verdict(recipe: "Recipe", gap: float) -> tuple[bool, str]:
     if gap < -quality.dhat_mm:
         finer = f"ask for a finer mesh, as in quality: {{edge_mm: {quality.edge_mm / 2:.2g}}}"
         return False, f"the indenter is {-gap:.3g} mm inside the gel without force, between contact points: {finer}"
-    text = f"the indenter {MISSED.format(gap)}"
-    return recipe.may_miss, text if recipe.may_miss else f"{text}; {KEEP}"
+    text = f"the indenter {MISSED_MESSAGE.format(gap)}"
+    return recipe.may_miss, text if recipe.may_miss else f"{text}; {KEEP_HINT}"
 
 
 def note(gaps: Sequence[tuple["Row", float]]) -> str:
@@ -29,5 +29,5 @@ def note(gaps: Sequence[tuple["Row", float]]) -> str:
         return ""
     row, gap = missed[0]
     more = f"; nor do {len(missed) - 1} more of the first {len(gaps)} scenes" if len(missed) > 1 else ""
-    rejected = "" if row.recipe.may_miss else f": a run rejects it; {KEEP}"
-    return f"{row.name} {MISSED.format(gap)}{more}{rejected}"
+    rejected = "" if row.recipe.may_miss else f": a run rejects it; {KEEP_HINT}"
+    return f"{row.name} {MISSED_MESSAGE.format(gap)}{more}{rejected}"

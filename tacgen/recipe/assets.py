@@ -9,15 +9,15 @@ from pathlib import Path
 from tacgen.base import regular_file
 from tacgen.base.errors import UserError, why
 
-PACKAGE = Path(__file__).resolve().parent.parent
-LARGEST = 2**30  # largest file that a recipe may name [bytes]
-MESHES, YAML = (".stl", ".obj", ".ply"), (".yaml", ".yml")
+PACKAGE_FOLDER = Path(__file__).resolve().parent.parent
+MAX_ASSET_BYTES = 2**30  # largest file that a recipe may name [bytes]
+MESH_SUFFIXES, YAML_SUFFIXES = (".stl", ".obj", ".ply"), (".yaml", ".yml")
 
 
 def folder(kind: str) -> Path:
     """The folder of one kind of file: next to the package in a checkout, in tacgen/data in a wheel."""
-    inside = PACKAGE / "data" / kind
-    return inside if inside.is_dir() else PACKAGE.parent / kind
+    inside = PACKAGE_FOLDER / "data" / kind
+    return inside if inside.is_dir() else PACKAGE_FOLDER.parent / kind
 
 
 def list_sensors() -> list[str]:
@@ -55,7 +55,7 @@ def beside(path: str, folder: Path | None) -> Path:
 
 def object_path(name_or_path: str, base: Path | None = None) -> Path:
     """The folder of a shipped object, or the file of a path relative to `base`, the recipe's folder."""
-    if _is_path(name_or_path, MESHES):
+    if _is_path(name_or_path, MESH_SUFFIXES):
         return _existing("object", beside(name_or_path, base), base)
     if name_or_path not in list_objects():
         raise UserError(_unknown("object", name_or_path, list_objects()))
@@ -66,19 +66,19 @@ def mesh_path(name_or_path: str, base: Path | None = None) -> Path:
     """The mesh file of a shipped object, or of a path relative to `base`, the recipe's folder."""
     shipped = object_path(name_or_path, base)
     if shipped.is_dir():
-        meshes = sorted(p for p in shipped.iterdir() if p.suffix.lower() in MESHES)
+        meshes = sorted(p for p in shipped.iterdir() if p.suffix.lower() in MESH_SUFFIXES)
         if not meshes:
-            raise UserError(f"{shipped}: holds no mesh ({', '.join(MESHES)}): name its file instead")
+            raise UserError(f"{shipped}: holds no mesh ({', '.join(MESH_SUFFIXES)}): name its file instead")
         return meshes[0]
-    if shipped.suffix.lower() not in MESHES:
-        raise UserError(f"{shipped}: must be a mesh file ({', '.join(MESHES)})")
+    if shipped.suffix.lower() not in MESH_SUFFIXES:
+        raise UserError(f"{shipped}: must be a mesh file ({', '.join(MESH_SUFFIXES)})")
     return shipped
 
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes. Raises UserError: it cannot be read."""
     try:
-        with regular_file.opened(path, LARGEST) as file:
+        with regular_file.opened(path, MAX_ASSET_BYTES) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be read: {why(error)}") from None
@@ -98,8 +98,8 @@ def _is_path(text: str, suffixes: tuple[str, ...]) -> bool:
 
 
 def _find(kind: str, text: str, base: Path | None, names: list[str]) -> Path:
-    """The file of a name or path of a shipped YAML file. Raises UserError: there is no such file or name."""
-    if _is_path(text, YAML):
+    """The file of a name or path of a shipped YAML_SUFFIXES file. Raises UserError: there is no such file or name."""
+    if _is_path(text, YAML_SUFFIXES):
         return _existing(kind, beside(text, base), base)
     if text in names:
         return folder(f"{kind}s") / f"{text}.yaml"
@@ -126,7 +126,7 @@ def _there(path: Path) -> bool:
 
 def _files_beside(path: Path, kind: str) -> dict[str, str]:
     """Names of the files of this kind in a path's folder, by those without suffix, of which typing errors are told."""
-    suffixes = MESHES if kind == "object" else YAML
+    suffixes = MESH_SUFFIXES if kind == "object" else YAML_SUFFIXES
     try:
         return {other.stem: other.name for other in path.parent.iterdir() if other.suffix.lower() in suffixes}
     except (OSError, ValueError):

@@ -5,19 +5,21 @@ from contextlib import suppress
 from pathlib import Path
 
 from tacgen.base.errors import UserError
-from tacgen.outputs import IMAGES, NAMES, OUTPUTS
+from tacgen.outputs import IMAGE_OUTPUTS, OUTPUT_NAMES, OUTPUTS
 from tacgen.recipe import assets, background_photo, grasp_checks, trajectory_checks, usual_sizes
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory import Paced, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
-from tacgen.sensor.model import LIGHTS, Gel, Sensor
+from tacgen.sensor.model import LIGHT_FIELDS, Gel, Sensor
 from tacgen.sensor.validation_messages import Issue
 from tacgen.sensor.yaml_source import KeyPath
 
-MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
-MAX_EDGE = 0.5  # of the mesh, over the gel's thickness [-]; on longer ones forces are off by half and more
-MAX_SIZE = 100.0  # of an indenter, over the pad's diagonal [-]; larger balls are flat to a thousandth of the pad
+MIN_HALF_THICKNESS_EDGES = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
+# of the mesh, over the gel's thickness [-]; on longer ones forces are off by half and more
+MAX_EDGE_PER_THICKNESS = 0.5
+# of an indenter, over the pad's diagonal [-]; larger balls are flat to a thousandth of the pad
+MAX_INDENTER_SIZE_RATIO = 100.0
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Issue]:
@@ -45,7 +47,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     wrong += _mesh_file(recipe.indenter, edge, folders.get(("indenter", "file")))
     wrong += grasp_checks.problems(recipe, sensor, folders)
     wrong += [] if recipe.grasp else trajectory_checks.problems(recipe, sensor.gel, folders)
-    return wrong + background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE))
+    return wrong + background_photo.problems(recipe, sensor, folders.get(background_photo.BACKGROUND_KEY))
 
 
 def _depths(recipe: Recipe, sensor: Sensor) -> list[Issue]:
@@ -98,16 +100,16 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Issue]:
 def output_problems(recipe: Recipe, sensor: Sensor) -> list[Issue]:
     """Problems of outputs that need what the sensor does not have."""
     wrong = []
-    named = " and ".join(n for n in NAMES if n in recipe.outputs and OUTPUTS[n].needs == "markers")
+    named = " and ".join(n for n in OUTPUT_NAMES if n in recipe.outputs and OUTPUTS[n].needs == "markers")
     if named and sensor.markers is None:
         text = f"asks for {named}, and the sensor {sensor.name} has none: leave them out, or add markers to its file"
         wrong.append(Issue(("outputs",), text))
     if named and not _on_gel(sensor):
         text = f"asks for {named}, and some of the sensor {sensor.name} would lie beside its gel: fewer, or closer ones"
         wrong.append(Issue(("outputs",), text))
-    if (images := recipe.outputs & IMAGES) and not sensor.lit:
+    if (images := recipe.outputs & IMAGE_OUTPUTS) and not sensor.lit:
         asked = " and ".join(sorted(images))
-        lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
+        lacking = ", ".join(name for name in LIGHT_FIELDS if getattr(sensor, name) is None)
         text = f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file"
         wrong.append(Issue(("outputs",), text))
     if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
@@ -135,7 +137,7 @@ def _on_gel(sensor: Sensor) -> bool:
 
 
 def _too_coarse(recipe: Recipe, gel: Gel) -> list[Issue]:
-    edge, longest = recipe.resolved().edge_mm, MAX_EDGE * gel.thickness_mm
+    edge, longest = recipe.resolved().edge_mm, MAX_EDGE_PER_THICKNESS * gel.thickness_mm
     if edge <= longest * (1 + 1e-9):
         return []
     text = (
@@ -148,9 +150,10 @@ def _too_coarse(recipe: Recipe, gel: Gel) -> list[Issue]:
 
 def _too_large(indenter: Indenter, gel: Gel) -> list[Issue]:
     """Sizes far beyond the pad are a wrong unit or mean a plate, and rounding errors of their distances grow."""
-    most = MAX_SIZE * math.hypot(gel.width_mm, gel.height_mm)
+    most = MAX_INDENTER_SIZE_RATIO * math.hypot(gel.width_mm, gel.height_mm)
     text = (
-        f"must be at most {most:.4g}, {MAX_SIZE:g} times the pad's diagonal (got {{:g}}): a wrong unit? A flat plate is"
+        f"must be at most {most:.4g}, {MAX_INDENTER_SIZE_RATIO:g} times the pad's diagonal (got {{:g}}): a wrong unit? "
+        f"A flat plate is"
         f" {{{{shape: box, size_x_mm: {1.5 * gel.width_mm:.3g}, size_y_mm: {1.5 * gel.height_mm:.3g}}}}}"
     )
     return [
@@ -169,11 +172,11 @@ def _too_thin(indenter: Indenter, edge: float) -> list[Issue]:
             f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts; "
             + (
                 usual_sizes.in_metres(key, getattr(indenter, key))
-                or f"ask for quality: {{edge_mm: {value / MIN_HALF_THICKNESS:.2g}}} or finer"
+                or f"ask for quality: {{edge_mm: {value / MIN_HALF_THICKNESS_EDGES:.2g}}} or finer"
             ),
         )
         for key, value in half.items()
-        if value < MIN_HALF_THICKNESS * edge * (1 - 1e-9)
+        if value < MIN_HALF_THICKNESS_EDGES * edge * (1 - 1e-9)
     ]
 
 
@@ -191,7 +194,7 @@ def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Iss
     wrong, longest = [], indenter.size_mm or max(sides)
     if indenter.sha256 not in (None, sha256 := assets.sha256(path)):
         wrong.append(Issue(("indenter", "sha256"), f"{indenter.file} {assets.changed(sha256)}"))
-    if longest < 2 * MIN_HALF_THICKNESS * edge:
+    if longest < 2 * MIN_HALF_THICKNESS_EDGES * edge:
         text = f"is {longest:.3g} mm long, too small for a mesh of edge {edge:g} mm: a file in metres needs scale: 1000"
         wrong.append(Issue(("indenter", "file"), text))
     return wrong

@@ -11,9 +11,9 @@ from tacgen.recipe.trajectory import Start, Timed
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.validation_messages import Issue
 
-OF_GRASP = ("close", "lift")  # movements of a gripper alone
-TOO_CLOSE = "must be above {:.4g}: first touch is at {:.4g} mm"
-MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all movements of a gripper
+GRIPPER_MOVES = ("close", "lift")  # movements of a gripper alone
+TOO_CLOSE_MESSAGE = "must be above {:.4g}: first touch is at {:.4g} mm"
+GRASP_MOVES = (*GRIPPER_MOVES, "tilt", "hold", "replay")  # all movements of a gripper
 
 
 def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders) -> list[Issue]:
@@ -23,12 +23,14 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
         return [
             Issue(("trajectory", i, step.kind), "needs a grasp: add one, or leave this movement out", at_key=True)
             for i, step in enumerate(recipe.trajectory)
-            if step.kind in OF_GRASP
+            if step.kind in GRIPPER_MOVES
         ]
     wrong = [
-        Issue(("trajectory", i, step.kind), f"is no movement of a grasp, which has {', '.join(MOVES)}", at_key=True)
+        Issue(
+            ("trajectory", i, step.kind), f"is no movement of a grasp, which has {', '.join(GRASP_MOVES)}", at_key=True
+        )
         for i, step in enumerate(recipe.trajectory)
-        if step.kind not in MOVES
+        if step.kind not in GRASP_MOVES
     ]
     if recipe.trajectory[0].kind != "close" and not wrong:
         wrong.append(Issue(("trajectory", 0), "must be close: a grasp begins with closed fingers"))
@@ -90,7 +92,7 @@ def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Issue]:
     opening = first_touch(shape, gels, grasp.height_mm or top / 2, grasp.y_mm, yaw)[1]
     least = opening - 2 * sensor.gel.thickness_mm
     return [
-        Issue(("trajectory", i, "close", "width_mm"), TOO_CLOSE.format(least, opening))
+        Issue(("trajectory", i, "close", "width_mm"), TOO_CLOSE_MESSAGE.format(least, opening))
         for i, step in enumerate(recipe.trajectory)
         if step.close is not None and step.close.width_mm is not None and step.close.width_mm <= least
     ]

@@ -7,16 +7,16 @@ import numpy as np
 
 from tacgen.base.errors import UserError
 from tacgen.geometry.pose import about
-from tacgen.mechanics.grasp import LOOKS, GraspScene, first_touch, seen_from
+from tacgen.mechanics.grasp import FINGER_ROTATIONS, GraspScene, first_touch, seen_from
 from tacgen.mechanics.scene import Scene
-from tacgen.recipe.grasp_checks import TOO_CLOSE
+from tacgen.recipe.grasp_checks import TOO_CLOSE_MESSAGE
 from tacgen.recipe.row import Row
 from tacgen.recipe.scene_of_row import gel_of, shape_of
 from tacgen.recipe.trajectory import Close, Lift, Replay, Tilt
 
 Array = np.ndarray
-GRAVITY = 9.80665  # [m/s^2], standard
-DEEP = 0.5  # depth that the mesh of the coarse first solve allows for, over the gel's thickness [-]
+GRAVITY_M_S2 = 9.80665  # [m/s^2], standard
+COARSE_SOLVE_DEPTH_RATIO = 0.5  # depth that the mesh of the coarse first solve allows for, over the gel's thickness [-]
 
 
 def build(row: Row) -> GraspScene:
@@ -38,18 +38,20 @@ def build(row: Row) -> GraspScene:
     thin = min(gel.thickness for gel in gels)
     for number, step in enumerate(recipe.trajectory):
         if isinstance(step.move, Close) and (step.move.width_mm or opening) <= opening - 2 * thin:
-            raise UserError(f"trajectory[{number}].close.width_mm: {TOO_CLOSE.format(opening - 2 * thin, opening)}")
+            raise UserError(
+                f"trajectory[{number}].close.width_mm: {TOO_CLOSE_MESSAGE.format(opening - 2 * thin, opening)}"
+            )
     segment = np.repeat(np.arange(len(recipe.trajectory)), [step.frames for step in recipe.trajectory])
-    closed = opening - DEEP * thin if np.isfinite(force).any() else min(np.nanmin(width), opening)
+    closed = opening - COARSE_SOLVE_DEPTH_RATIO * thin if np.isfinite(force).any() else min(np.nanmin(width), opening)
     sunk = max(float(((gripper[0, :3, 3] - gripper[:, :3, 3]) @ down).max()), 0.0)  # if the object stays on the table
     fingers = []
     for side, gel in enumerate(gels):
         standing = seen_from(side, opening, start)
         poses = np.tile(seen_from(side, closed, start), (2, 1, 1))
-        poses[1, :3, 3] += sunk * LOOKS[side].T @ down
+        poses[1, :3, 3] += sunk * FINGER_ROTATIONS[side].T @ down
         known = (recipe.contact.friction, quality.edge_mm, quality.dhat_mm)
         fingers.append(Scene(gel, shape, poses, standing, segment, *known, element=recipe.mesh or "hex"))
-    weight, centre = asked.mass_kg * GRAVITY * down, np.array(asked.centre_mm or (0.0, 0.0, height))
+    weight, centre = asked.mass_kg * GRAVITY_M_S2 * down, np.array(asked.centre_mm or (0.0, 0.0, height))
     path = (gripper, width, force, part, segment)
     return GraspScene((fingers[0], fingers[1]), start, opening, weight, centre, *path, asked.fall_mm)
 

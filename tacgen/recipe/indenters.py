@@ -132,7 +132,7 @@ class Mesh(AnyIndenter):
 
 
 Indenter = Annotated[Sphere | Cylinder | Cone | Box | Wedge | Capsule | Torus | Mesh, Field(discriminator="shape")]
-SHAPES: dict[str, type[Part]] = {
+INDENTER_SHAPES: dict[str, type[Part]] = {
     kind.model_fields["shape"].annotation.__args__[0]: kind for kind in get_args(get_args(Indenter)[0])
 }
 

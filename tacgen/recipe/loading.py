@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tacgen.base.errors import UserError
-from tacgen.outputs import IMAGES
+from tacgen.outputs import IMAGE_OUTPUTS
 from tacgen.recipe import assets, checks, grasp_checks, sensor_checks
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
@@ -25,7 +25,7 @@ from tacgen.sensor.yaml_source import (
     parse_path,
 )
 
-SOLID: KeyPath = ("gel", "solid", "file")
+SOLID_FILE_KEY: KeyPath = ("gel", "solid", "file")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def read(source: Path | Tree, sets: Iterable[str] = (), sensor: Sensor | None = 
     tree = _crossed(merged(source, sets))
     recipe, wrong = validate(Recipe, tree.data)
     problems = [(problem, tree) for problem in wrong]
-    images = recipe is not None and bool(recipe.outputs & IMAGES)
+    images = recipe is not None and bool(recipe.outputs & IMAGE_OUTPUTS)
     try:
         if sensor is None:
             sensor, sensor_tree, more = named_sensor(tree, images)
@@ -134,7 +134,7 @@ def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = N
 
 def solid_folder(sensor_tree: Tree) -> Path:
     """The folder to which the path of a gel's solid is relative: that of the file in which it is written."""
-    return (sensor_tree.spot(SOLID).value.source.folder or Path()).resolve()
+    return (sensor_tree.spot(SOLID_FILE_KEY).value.source.folder or Path()).resolve()
 
 
 def right_sensor(recipe: Recipe, sensor: Sensor, tree: Tree) -> tuple[Sensor | None, list[tuple[Issue, Tree]]]:
@@ -145,7 +145,7 @@ def right_sensor(recipe: Recipe, sensor: Sensor, tree: Tree) -> tuple[Sensor | N
     if recipe.grasp.right is None:
         return sensor, []
     chosen = Tree(recipe.grasp.right, {(): tree.spot(("grasp", "right"))})
-    other, _, wrong = named_sensor(tree.replaced(("sensor",), chosen), bool(recipe.outputs & IMAGES))
+    other, _, wrong = named_sensor(tree.replaced(("sensor",), chosen), bool(recipe.outputs & IMAGE_OUTPUTS))
     named = [problem for problem, _ in wrong if problem.path == ("sensor",)]  # it is not there
     wrong = [(problem, where) for problem, where in wrong if problem not in named]
     if other is not None:
@@ -157,7 +157,7 @@ def solid_start(sensor: Sensor, sensor_tree: Tree | None) -> dict[KeyPath, Path]
     """Where the path of a gel's solid starts, if it has one."""
     if sensor.gel.solid is None or sensor_tree is None:
         return {}
-    return {("sensor", *SOLID): solid_folder(sensor_tree)}
+    return {("sensor", *SOLID_FILE_KEY): solid_folder(sensor_tree)}
 
 
 def _extended(source: Path | Tree, chain: tuple[Path, ...]) -> Tree:

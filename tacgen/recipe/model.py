@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from tacgen.outputs import NAMES
+from tacgen.outputs import OUTPUT_NAMES
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.trajectory import Segment, Start, Vector
 from tacgen.sensor.base_model import ONE_KEY, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
@@ -13,7 +13,7 @@ from tacgen.sensor.yaml_source import KeyPath
 if TYPE_CHECKING:
     OutputName = str
 else:
-    OutputName = Literal[NAMES]
+    OutputName = Literal[OUTPUT_NAMES]
 Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock in a nearly incompressible gel: for comparison only
 
 
@@ -166,7 +166,8 @@ class Distribution(Part, json_schema_extra=ONE_KEY):
     _one = exactly_one("one distribution")
 
 
-FEW = 256  # samples up to which an optimised Latin hypercube is used: more even than Sobol's, computed within 1 s
+# samples up to which an optimised Latin hypercube is used: more even than Sobol's, computed within 1 s
+MAX_LHS_SAMPLES = 256
 
 
 class Vary(Part):
@@ -191,7 +192,7 @@ class Vary(Part):
     @property
     def design(self) -> str:
         """The method: the one that is named, or the one that is chosen by the number of samples."""
-        return self.method or ("lhs" if (self.samples or 0) <= FEW else "sobol")
+        return self.method or ("lhs" if (self.samples or 0) <= MAX_LHS_SAMPLES else "sobol")
 
     @property
     def paths(self) -> dict[str, KeyPath]:
@@ -201,7 +202,7 @@ class Vary(Part):
 
 def _not_empty(value: frozenset[str]) -> frozenset[str]:
     if not value:
-        raise ValueError(f"must name at least one of {', '.join(NAMES)}")
+        raise ValueError(f"must name at least one of {', '.join(OUTPUT_NAMES)}")
     return value
 
 
@@ -277,5 +278,5 @@ class Recipe(Part):
     def document(self) -> dict[str, Any]:
         """Plain values that YAML and JSON can hold and that read back as the same recipe."""
         plain: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
-        plain["outputs"] = [name for name in NAMES if name in self.outputs]
+        plain["outputs"] = [name for name in OUTPUT_NAMES if name in self.outputs]
         return plain

@@ -9,7 +9,7 @@ import numpy as np
 
 from tacgen.base.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
-from tacgen.geometry.first_touch import ON_PLANE, contact_height, least_over, lowest_over
+from tacgen.geometry.first_touch import MAX_GRID_ERROR_MM, contact_height, least_over, lowest_over
 from tacgen.geometry.pose import shortest_turn
 from tacgen.mechanics.scene import Forced
 from tacgen.recipe import pose_table
@@ -46,7 +46,7 @@ def sunk_beside(
     poses = [walk.pose]
     for number, segment in enumerate(recipe.trajectory):
         poses += [frame.pose for frame in walk.frames(segment, rows[number], ("trajectory", number))]
-    foot, deepest = solid.vertices[solid.vertices[:, 2] < ON_PLANE], 0.0
+    foot, deepest = solid.vertices[solid.vertices[:, 2] < MAX_GRID_ERROR_MM], 0.0
     for pose in poses:
         if not pad.contains(*(foot @ pose[:3, :3].T + pose[:3, 3])[:, :2].T).any():
             least = least_over(solid.vertices, solid.triangles, pad, pose) - pose[2, 3]

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, overload
 
 from tacgen.base.errors import UserError
-from tacgen.outputs import IMAGES
+from tacgen.outputs import IMAGE_OUTPUTS
 from tacgen.recipe import checks, loading, sensor_base, sensor_checks, usual_sizes
-from tacgen.recipe.loading import SOLID, Loaded, folders
+from tacgen.recipe.loading import SOLID_FILE_KEY, Loaded, folders
 from tacgen.recipe.model import Distribution, Recipe, Vary
 from tacgen.recipe.row import Row, resolved, scene_seed
 from tacgen.recipe.sampling import correlated, draw, scene_count
@@ -26,7 +26,7 @@ from tacgen.sensor.usual_values import unusual
 from tacgen.sensor.validation_messages import Issue, report, validate
 from tacgen.sensor.yaml_source import KeyPath, Tree, at, format_path, is_within, parents_first, parse_path
 
-NOT_VARIABLE = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
+UNVARIED_KEYS = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
 MAX_SCENES = 1_000_000
 
 
@@ -101,7 +101,7 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
     base = recipe.model_copy(update={"vary": None, "sensors": None}).document()
-    named, more = _named(vary, tree, bool(recipe.outputs & IMAGES))
+    named, more = _named(vary, tree, bool(recipe.outputs & IMAGE_OUTPUTS))
     known = sensor, loading.solid_start(sensor, loaded.sensor_tree)
     drawn = draw(vary, wanted)
 
@@ -153,7 +153,7 @@ def _check(vary: Vary, tree: Tree) -> None:
             continue
         if (same := known.setdefault(path, name)) != name:
             problems.append(Issue(here, f"is {same}, which is varied already: leave one of them out", at_key=True))
-        if path[0] in NOT_VARIABLE:
+        if path[0] in UNVARIED_KEYS:
             problems.append(Issue(here, f"{path[0]} cannot be varied: write a recipe for each value", at_key=True))
         if path == ("sensor",) and not all(isinstance(value, str) for value in spread.choice or (None,)):
             problems.append(Issue(here, "must be a choice of sensors' names or files"))
@@ -222,10 +222,10 @@ def _resolve(
         return None, wrong
     recipe, wrong = validate(Recipe, data)
     if plain_sensor is not None:
-        if (name := f"sensor.{format_path(SOLID)}") in values:
-            solid = {("sensor", *SOLID): (tree.spot(vary.paths[name]).value.source.folder or Path()).resolve()}
-        images = recipe is not None and bool(recipe.outputs & IMAGES)
-        folder = solid.get(("sensor", *SOLID))
+        if (name := f"sensor.{format_path(SOLID_FILE_KEY)}") in values:
+            solid = {("sensor", *SOLID_FILE_KEY): (tree.spot(vary.paths[name]).value.source.folder or Path()).resolve()}
+        images = recipe is not None and bool(recipe.outputs & IMAGE_OUTPUTS)
+        folder = solid.get(("sensor", *SOLID_FILE_KEY))
         varied, more = sensor_checks.check(plain_sensor, folder, images) if checking else validate(Sensor, plain_sensor)
         wrong += [Issue(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:

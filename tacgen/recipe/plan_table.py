@@ -9,16 +9,16 @@ from typing import Any
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
 
-MAX_ROWS = 40  # of the aligned text
+MAX_PLAN_TABLE_ROWS = 40  # of the aligned text
 
 
 def as_text(plan: Plan) -> str:
     """Aligned columns; for a long plan the first rows alone."""
-    table = [*_cells(plan, plan.rows[:MAX_ROWS], short=True)]
+    table = [*_cells(plan, plan.rows[:MAX_PLAN_TABLE_ROWS], short=True)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
-    if len(plan.rows) > MAX_ROWS:
-        lines.append(f"... {len(plan.rows) - MAX_ROWS} more (--csv prints all)")
+    if len(plan.rows) > MAX_PLAN_TABLE_ROWS:
+        lines.append(f"... {len(plan.rows) - MAX_PLAN_TABLE_ROWS} more (--csv prints all)")
     return "\n".join(lines) + "\n"
 
 

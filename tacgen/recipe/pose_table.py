@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Accepted titles of each column. The prefix of ROS names (`field.pose.position.x`, from `rostopic echo -p`) is ignored;
 # x, y and z may end in _mm or _m, time in _s, _ms, _us or _ns, a force in _n; upper and lower case are the same.
-COLUMNS = {
+COLUMN_TITLES = {
     "time": ("time", "timestamp", "t", "%time"),
     **{axis: (axis, f"t{axis}", f"p{axis}", f"position_{axis}", f"position.{axis}") for axis in "xyz"},
     **{f"q{part}": (f"q{part}", f"orientation_{part}", f"orientation.{part}") for part in "wxyz"},
@@ -28,19 +28,19 @@ COLUMNS = {
     **{f"sensor_q{part}": (f"sensor_q{part}", f"sensor_orientation_{part}") for part in "wxyz"},
     **{f"force_{axis}": (f"force_{axis}", f"force.{axis}") for axis in "xyz"},
 }
-BODY = ("x", "y", "z", "qw", "qx", "qy", "qz")
-SENSOR = tuple(f"sensor_{name}" for name in BODY)  # all of them, or none
-FORCE = ("force_x", "force_y", "force_z")  # not used by the movement `replay`
-LENGTHS = (*BODY[:3], *SENSOR[:3])
-MM = {"mm": 1.0, "m": 1000.0}
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-NEWTON = {"n": 1.0}
-SUFFIXES: dict[str, Mapping[str, float]] = {
-    "time": SECONDS,
-    **dict.fromkeys(LENGTHS, MM),
-    **dict.fromkeys(FORCE, NEWTON),
+BODY_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
+SENSOR_COLUMNS = tuple(f"sensor_{name}" for name in BODY_COLUMNS)  # all of them, or none
+FORCE_COLUMNS = ("force_x", "force_y", "force_z")  # not used by the movement `replay`
+LENGTH_COLUMNS = (*BODY_COLUMNS[:3], *SENSOR_COLUMNS[:3])
+MM_PER_UNIT = {"mm": 1.0, "m": 1000.0}
+SECONDS_PER_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+NEWTONS_PER_UNIT = {"n": 1.0}
+UNIT_SUFFIXES: dict[str, Mapping[str, float]] = {
+    "time": SECONDS_PER_UNIT,
+    **dict.fromkeys(LENGTH_COLUMNS, MM_PER_UNIT),
+    **dict.fromkeys(FORCE_COLUMNS, NEWTONS_PER_UNIT),
 }
-MAX_FILE = 200_000_000  # [bytes]
+MAX_POSE_TABLE_BYTES = 200_000_000  # [bytes]
 Placed = tuple[Vector, Quaternion]  # position [mm] and rotation
 Row = tuple[int, float, Placed, Placed | None, Vector | None]  # line, time as in the file, body, sensor, force [N]
 
@@ -64,13 +64,13 @@ class PoseTable:
 
 
 def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | None = None) -> PoseTable:
-    """Read a table. `units`: of x, y and z if the header does not say; `columns`: titles that are not in COLUMNS.
+    """Read a table. `units`: of x, y and z if the header does not say; `columns`: titles that are not in COLUMN_TITLES.
 
     Raises:
         UserError: the file cannot be read or is not such a table; its lines do not name the file.
     """
     try:
-        raw = regular_file.read_bytes(path, MAX_FILE)
+        raw = regular_file.read_bytes(path, MAX_POSE_TABLE_BYTES)
     except (OSError, ValueError) as error:
         raise UserError(f"cannot be read: {why(error)}") from None
     return _parsed(raw, units, tuple((columns or {}).items()))
@@ -146,8 +146,8 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
     for i, title in enumerate(header):
         name = ".".join(re.split(r"[./]", title.lower())[-2:])
         stem, _, suffix = name.rpartition("_")
-        for column, names in COLUMNS.items():
-            known = SUFFIXES.get(column, {})
+        for column, names in COLUMN_TITLES.items():
+            known = UNIT_SUFFIXES.get(column, {})
             bare, unit_said = (stem, suffix) if stem and suffix in known else (name, "")
             if titles.get(title) == column or (column not in columns and bare in names):
                 if column in where:
@@ -158,10 +158,10 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
     wrong = []
     if lost := [title for title, column in titles.items() if column not in where]:
         wrong.append(f"has no column {', '.join(lost)}, which columns names {shown}")
-    needed = ("time", *BODY, *(SENSOR if {*where, *columns}.intersection(SENSOR) else ()))
+    needed = ("time", *BODY_COLUMNS, *(SENSOR_COLUMNS if {*where, *columns}.intersection(SENSOR_COLUMNS) else ()))
     if missing := [column for column in needed if column not in {*where, *columns}]:
         wrong.append(f"has no column {', '.join(missing)}: name it under columns {shown}")
-    lengths = {said.get(axis) or units or "" for axis in LENGTHS if axis in needed}
+    lengths = {said.get(axis) or units or "" for axis in LENGTH_COLUMNS if axis in needed}
     if lengths == {""}:
         wrong.append(f"does not say whether x, y and z are in mm or m: add units: m, or units: mm {shown}")
     if wrong:
@@ -171,22 +171,24 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
             f"x, y and z must be in one unit (header: {','.join(header)}; units: {units or 'not given'}):"
             " leave units out, or name the columns alike"
         )
-    return where, MM[lengths.pop()], SECONDS[said["time"] or "s"]
+    return where, MM_PER_UNIT[lengths.pop()], SECONDS_PER_UNIT[said["time"] or "s"]
 
 
 def _row(line: int, cells: list[str], where: dict[str, int], scale: float, before: Row | None) -> Row:
     """The numbers of one row. Raises ValueError with a message for people."""
     value = {column: csv_table.number(cells[i]) for column, i in where.items()}
     for column, number in value.items():
-        if math.isnan(number) and column not in FORCE:
+        if math.isnan(number) and column not in FORCE_COLUMNS:
             raise ValueError(f"{column} must be a number (got {cells[where[column]]!r})")
     if before is not None and value["time"] <= before[1]:
         raise ValueError(f"time must increase (got {value['time']:.15g} after {before[1]:.15g}): sort the rows")
-    body, sensor, force = (tuple(value[c] for c in group if c in value) for group in (BODY, SENSOR, FORCE))
+    body, sensor, force = (
+        tuple(value[c] for c in group if c in value) for group in (BODY_COLUMNS, SENSOR_COLUMNS, FORCE_COLUMNS)
+    )
 
     def placed(pose: tuple[float, ...]) -> Placed:
         x, y, z, *turn = pose
         return (scale * x, scale * y, scale * z), unit((turn[0], turn[1], turn[2], turn[3]))
 
-    pushed = (force[0], force[1], force[2]) if len(force) == len(FORCE) else None
+    pushed = (force[0], force[1], force[2]) if len(force) == len(FORCE_COLUMNS) else None
     return line, value["time"], placed(body), placed(sensor) if sensor else None, pushed

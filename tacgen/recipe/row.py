@@ -9,15 +9,15 @@ from typing import Any, Literal
 
 from tacgen.recipe import assets, background_photo
 from tacgen.recipe.checks import timed
-from tacgen.recipe.loading import SOLID
+from tacgen.recipe.loading import SOLID_FILE_KEY
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory_checks import Folders, replayed
-from tacgen.sensor.imperfections import NOISE
+from tacgen.sensor.imperfections import NOISE_STREAM
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import KeyPath
 
-FORMAT = 1  # of the bundles that keys stand for
+KEY_FORMAT = 1  # of the bundles that keys stand for
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Row:
     @property
     def key(self) -> str:
         """SHA-256 over everything the bundle depends on: another key, another bundle."""
-        inputs = [FORMAT, self.index, self.seed, self.document(), self.sensor_document()]
+        inputs = [KEY_FORMAT, self.index, self.seed, self.document(), self.sensor_document()]
         if self.other is not None:
             inputs += [self.other.model_dump(mode="json", exclude_none=True), self.finger]
         inputs += [] if self.pair is None else [self.pair]
@@ -80,7 +80,7 @@ class Row:
     def photo_path(self) -> Path | None:
         """The photograph behind the pictures, if there is one."""
         name = self.recipe.render.background
-        return None if name is None else assets.beside(name, self.folders.get(background_photo.WHERE))
+        return None if name is None else assets.beside(name, self.folders.get(background_photo.BACKGROUND_KEY))
 
     @property
     def mesh_path(self) -> Path:
@@ -98,7 +98,7 @@ class Row:
     def solid_path(self) -> Path:
         """The file of a gel that is a solid."""
         assert self.sensor.gel.solid is not None
-        return assets.mesh_path(self.sensor.gel.solid.file, self.folders.get(("sensor", *SOLID)))
+        return assets.mesh_path(self.sensor.gel.solid.file, self.folders.get(("sensor", *SOLID_FILE_KEY)))
 
     def sensor_document(self) -> dict[str, Any]:
         """The resolved sensor as JSON values; a solid is named with its hash."""
@@ -130,7 +130,7 @@ def scene_seed(seed: int, index: int) -> int:
     """The seed of one scene's noise."""
     from numpy.random import SeedSequence
 
-    return int(SeedSequence((seed, index, NOISE)).generate_state(1)[0])
+    return int(SeedSequence((seed, index, NOISE_STREAM)).generate_state(1)[0])
 
 
 def _sha256(value: Any) -> str:

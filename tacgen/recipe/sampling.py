@@ -5,14 +5,14 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
-from tacgen.recipe.model import FEW, Distribution, Vary
+from tacgen.recipe.model import MAX_LHS_SAMPLES, Distribution, Vary
 from tacgen.sensor.validation_messages import Issue
 
 if TYPE_CHECKING:
     import numpy as np
 
-DRAW = 1  # number of this purpose in the seeds of random numbers; the other is in plan.py
-CORRELATED = 0.3  # correlation of two varied values above which a warning is given [-]
+SAMPLING_STREAM = 1  # number of this purpose in the seeds of random numbers; the other is in plan.py
+MAX_UNWARNED_CORRELATION = 0.3  # correlation of two varied values above which a warning is given [-]
 
 
 def scene_count(vary: Vary) -> int:
@@ -49,12 +49,12 @@ def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
 
     design = vary.design
     if design == "random":
-        return np.array([default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices])
+        return np.array([default_rng(SeedSequence((vary.seed, i, SAMPLING_STREAM))).random(d) for i in indices])
     if design == "lhs":  # each point depends on all others: draw them all
         return _latin_hypercube(vary.seed, vary.samples or 0, d)[list(indices)]
     from scipy.stats import qmc  # half a second to import
 
-    rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
+    rng = default_rng(SeedSequence((vary.seed, 0, SAMPLING_STREAM)))
     engine = qmc.Sobol(d, rng=rng) if design == "sobol" else qmc.Halton(d, rng=rng)
     return np.asarray(engine.random(1 << max(indices, default=0).bit_length())[list(indices)])
 
@@ -67,8 +67,8 @@ def _latin_hypercube(seed: int, samples: int, d: int) -> "np.ndarray":
     from scipy.stats import qmc
 
     # so that columns hardly correlate; too slow for many
-    optimised: Literal["random-cd"] | None = "random-cd" if samples <= FEW else None
-    rng = default_rng(SeedSequence((seed, 0, DRAW)))
+    optimised: Literal["random-cd"] | None = "random-cd" if samples <= MAX_LHS_SAMPLES else None
+    rng = default_rng(SeedSequence((seed, 0, SAMPLING_STREAM)))
     return np.asarray(qmc.LatinHypercube(d, optimization=optimised, rng=rng).random(samples))
 
 
@@ -77,11 +77,11 @@ def correlated(vary: Vary) -> list[Issue]:
     import numpy as np
 
     n, paths = vary.samples or 0, list(vary.over)
-    if vary.design not in ("sobol", "halton") or not 3 <= n <= FEW or len(paths) < 2:
+    if vary.design not in ("sobol", "halton") or not 3 <= n <= MAX_LHS_SAMPLES or len(paths) < 2:
         return []
     r = np.triu(np.corrcoef(_unit_points(vary, len(paths), range(n)).T), 1)
     i, j = np.unravel_index(np.abs(r).argmax(), r.shape)
-    if abs(r[i, j]) < CORRELATED:
+    if abs(r[i, j]) < MAX_UNWARNED_CORRELATION:
         return []
     text = f"{n} points of {vary.design} correlate {paths[i]} and {paths[j]} by {r[i, j]:.2f}"
     return [Issue(("vary", "method"), f"{text}: leave method out, and so few are spread as a Latin hypercube")]

@@ -6,8 +6,8 @@ from tacgen.base.errors import UserError
 from tacgen.recipe import approach
 from tacgen.recipe.row import Row
 
-LOOKED_AT = 50  # scenes that are built: some hundredths of a second each
-MESHES = 3  # of scenes with a mesh from a file: some seconds each
+MAX_BUILT_SCENES = 50  # scenes that are built: some hundredths of a second each
+MAX_BUILT_MESH_SCENES = 3  # of scenes with a mesh from a file: some seconds each
 
 
 def notes(rows: Sequence[Row]) -> list[str]:
@@ -16,7 +16,7 @@ def notes(rows: Sequence[Row]) -> list[str]:
     Raises:
         UserError: a run would refuse one of them.
     """
-    looked = rows[: MESHES if rows[0].recipe.indenter.shape == "mesh" else LOOKED_AT]
+    looked = rows[: MAX_BUILT_MESH_SCENES if rows[0].recipe.indenter.shape == "mesh" else MAX_BUILT_SCENES]
     found = []
     for row in looked:
         try:

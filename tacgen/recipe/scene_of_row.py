@@ -22,9 +22,10 @@ from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3
-MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
-SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]
-OPENED = 0.75  # radius of a mesh's sharp edges over dhat [-]: the mean gap of a light press, which contact takes off
+MATCHED_FORCE_TOL = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
+SDF_CELL_PER_EDGE = 0.25  # cell of a mesh's signed distance over the element edge [-]
+# radius of a mesh's sharp edges over dhat [-]: the mean gap of a light press, which contact takes off
+SHARP_RADIUS_PER_DHAT = 0.75
 
 
 def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh) -> tuple[float, float]:
@@ -53,7 +54,7 @@ def shape_of(row: Row) -> Shape:
     solid = mesh_import.placed(read, up=indenter.up, scale=indenter.scale, size=indenter.size_mm)
     (half, height), quality = _reach_of_gel(row, solid), row.recipe.resolved()
     mesh_import.refuse_thin_walls(solid, quality.dhat_mm, height)
-    sizes = {"cell": SDF_CELL * quality.edge_mm, "radius": OPENED * quality.dhat_mm}
+    sizes = {"cell": SDF_CELL_PER_EDGE * quality.edge_mm, "radius": SHARP_RADIUS_PER_DHAT * quality.dhat_mm}
     return mesh_import.field(solid, **sizes, height=height, half=half)
 
 
@@ -98,7 +99,7 @@ def _scene(row: Row) -> Scene:
         raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
     forced = path.forced
     if forced is not None and row.pair is not None:
-        forced = replace(forced, tol=MATCHED)
+        forced = replace(forced, tol=MATCHED_FORCE_TOL)
     more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns)
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 

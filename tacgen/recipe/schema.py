@@ -14,9 +14,9 @@ from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import at, load, quoted, text_of
 
 SCHEMA_FILE, SENSOR_SCHEMA_FILE = "tacgen.schema.json", "tacgen-sensor.schema.json"
-LARGEST_SCHEMA = 2**24  # [bytes]
-STARTER = Path(__file__).with_name("starter_sensor.yaml")
-NAMING = ("extends", "sensor", "sensors", "right", "file", "background", "choice")  # keys of texts that may be paths
+MAX_SCHEMA_BYTES = 2**24  # [bytes]
+STARTER_SENSOR = Path(__file__).with_name("starter_sensor.yaml")
+PATH_KEYS = ("extends", "sensor", "sensors", "right", "file", "background", "choice")  # keys of texts that may be paths
 BASE_NOTE = "  # parts that differ from it in numbers, but not in source, count as assumed"
 
 
@@ -76,7 +76,7 @@ def write_starter(path: Path, *, sensor: bool, start: str = "", overwrite: bool)
 def _is_schema(path: Path) -> bool:
     """Whether a file is a schema that tacgen wrote."""
     try:
-        text = regular_file.read_bytes(path, LARGEST_SCHEMA, noted=False).decode(errors="replace")
+        text = regular_file.read_bytes(path, MAX_SCHEMA_BYTES, noted=False).decode(errors="replace")
     except OSError:
         return False
     return '"$schema"' in text and '"tacgen' in text
@@ -85,7 +85,7 @@ def _is_schema(path: Path) -> bool:
 def _start(path: Path, sensor: bool, start: str) -> tuple[Path, str, dict[str, bytes]]:
     """The file that is copied, the text for its copy at `path`, and what lies beside it: path from there -> content."""
     name = start or ("" if sensor else "quickstart")
-    found = STARTER if not name else assets.sensor_path(name) if sensor else assets.recipe_path(name)
+    found = STARTER_SENSOR if not name else assets.sensor_path(name) if sensor else assets.recipe_path(name)
     (loading.read_sensor if sensor else loading.read)(found)
     beside: dict[str, bytes] = {}
     same = os.path.realpath(found.parent) == os.path.realpath(path.parent)
@@ -116,7 +116,7 @@ def _moved(source: Path, folder: Path, beside: dict[str, bytes]) -> str:
     lines = list(tree.spot(()).value.source.lines)
     for path, spot in sorted(tree.spots.items(), key=lambda item: (item[1].value.line, -item[1].value.column)):
         name, key = at(tree.data, path), next((step for step in reversed(path) if isinstance(step, str)), "")
-        if not isinstance(name, str) or key not in NAMING or not Path(name).suffix or name.startswith(("/", "~")):
+        if not isinstance(name, str) or key not in PATH_KEYS or not Path(name).suffix or name.startswith(("/", "~")):
             continue
         other = source.parent / name
         if not other.is_file():
@@ -129,7 +129,7 @@ def _moved(source: Path, folder: Path, beside: dict[str, bytes]) -> str:
         else:
             if place not in beside:
                 beside[place] = b""  # a file may name the one that names it
-                is_yaml = other.suffix in assets.YAML
+                is_yaml = other.suffix in assets.YAML_SUFFIXES
                 beside[place] = _moved(other, folder, beside).encode() if is_yaml else _content(other)
             continue
         line, column = spot.value.line, spot.value.column
@@ -143,7 +143,7 @@ def _moved(source: Path, folder: Path, beside: dict[str, bytes]) -> str:
 def _content(path: Path) -> bytes:
     """All of a mesh, table or picture. Raises UserError: it cannot be read."""
     try:
-        return regular_file.read_bytes(path, assets.LARGEST)
+        return regular_file.read_bytes(path, assets.MAX_ASSET_BYTES)
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {why(error)}") from None
 

@@ -5,11 +5,11 @@ from functools import cache
 from tacgen.recipe import assets
 from tacgen.sensor.base_model import Part
 from tacgen.sensor.model import Sensor
-from tacgen.sensor.usual_values import COPIED
+from tacgen.sensor.usual_values import COPIED_SOURCE
 from tacgen.sensor.validation_messages import Issue, suggest, validate
 from tacgen.sensor.yaml_source import load
 
-TEXTS = ("name", "source", "description", "base")  # keys that are no numbers
+TEXT_KEYS = ("name", "source", "description", "base")  # keys that are no numbers
 
 
 def problems(sensor: Sensor) -> list[Issue]:
@@ -49,8 +49,8 @@ def _marked(part: Part, other: Part, base: str) -> Part:
         elif isinstance(value, tuple) and any(isinstance(item, Part) for item in value):
             pairs = zip(value, [*(theirs or ()), *(len(value) * [None])], strict=False)
             new[name] = tuple(a if b is None else _marked(a, b, base) for a, b in pairs)
-        elif value != theirs and name not in TEXTS:
+        elif value != theirs and name not in TEXT_KEYS:
             differ.append(name)
     if differ and getattr(part, "source", "") == getattr(other, "source", None):
-        new["source"] = f"assumed: {', '.join(differ)}{COPIED}{base}"
+        new["source"] = f"assumed: {', '.join(differ)}{COPIED_SOURCE}{base}"
     return part.model_copy(update=new)

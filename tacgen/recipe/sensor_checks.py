@@ -9,12 +9,12 @@ from tacgen.base.errors import UserError
 from tacgen.recipe import assets, sensor_base
 from tacgen.sensor import optics_checks
 from tacgen.sensor.base_model import Axis
-from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor, Solid
+from tacgen.sensor.model import LIGHT_FIELDS, Gel, LitSensor, Sensor, Solid
 from tacgen.sensor.validation_messages import Issue, needs, validate
 
-SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
-MIN_PIXELS = 8  # smallest number of the image's pixels along the gel's shorter side
-MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
+MAX_SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
+MIN_SIDE_PX = 8  # smallest number of the image's pixels along the gel's shorter side
+MIN_RIM_RATIO = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
 
 
 def check(data: Any, folder: Path | None = None, images: bool = True) -> tuple[Sensor | None, list[Issue]]:
@@ -36,10 +36,10 @@ def _lights(data: Any) -> list[Issue]:
 
     A plate may be given alone; coating, walls and LEDs need each other and the plate.
     """
-    there = [name for name in LIGHTS if isinstance(data, dict) and data.get(name) is not None]
+    there = [name for name in LIGHT_FIELDS if isinstance(data, dict) and data.get(name) is not None]
     if there in ([], ["plate"]):
         return []
-    missing = [name for name in LIGHTS if name not in there]
+    missing = [name for name in LIGHT_FIELDS if name not in there]
     return [
         Issue((name,), f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}", at_key=True) for name in missing
     ]
@@ -58,7 +58,7 @@ def _outline(gel: Gel) -> list[Issue]:
         )
         wrong.append(Issue(("gel", "outline"), text))
     rim = gel.thickness_mm - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
-    if rim < MIN_RIM * gel.thickness_mm:
+    if rim < MIN_RIM_RATIO * gel.thickness_mm:
         text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has: larger radii"
         wrong.append(Issue(("gel", "dome"), text))
     return wrong
@@ -71,7 +71,7 @@ def _seen(sensor: Sensor) -> list[Issue]:
     if sensor.gel.layers[0].opaque:
         text = "hides the coating: layers are from the bonded base outward, and the first must be clear"
         wrong.append(Issue(("gel", "layers", 0, "opaque"), text))
-    if side < MIN_PIXELS * scale:
+    if side < MIN_SIDE_PX * scale:
         text = f"leaves {side / scale:.2g} pixels for the gel, {side:g} mm: a wrong unit?"
         wrong.append(Issue(("camera", "mm_per_px"), text))
     if dots and dots.diameter_mm >= dots.nearest_mm:
@@ -104,7 +104,7 @@ def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
     wrong = [
         Issue(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
         for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
-        if abs(size - value) > SOLID_SIZE_ERROR * value
+        if abs(size - value) > MAX_SOLID_SIZE_ERROR * value
     ]
     return wrong or ([Issue(("gel", "solid"), loose)] if loose else [])
 

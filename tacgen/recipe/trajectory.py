@@ -10,8 +10,8 @@ from tacgen.sensor.base_model import ONE_KEY, FilePath, Part, Positive, Sha256, 
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
-UNIT_TOLERANCE = 1e-3  # largest error of a quaternion's length, which tables write with few digits [-]
-UNIT_EXACT = 1e-12  # error of the length up to which a quaternion is not normalised again [-]
+QUATERNION_TOL = 1e-3  # largest error of a quaternion's length, which tables write with few digits [-]
+QUATERNION_ROUNDING = 1e-12  # error of the length up to which a quaternion is not normalised again [-]
 Column = Literal[
     "time", "x", "y", "z", "qw", "qx", "qy", "qz",
     "sensor_x", "sensor_y", "sensor_z", "sensor_qw", "sensor_qx", "sensor_qy", "sensor_qz",
@@ -104,9 +104,9 @@ class Tilt(Timed):
 def unit(q: Quaternion) -> Quaternion:
     """The quaternion normalised to length 1. Raises ValueError: its length differs from 1 by more than rounding."""
     length = math.hypot(*q)
-    if abs(length - 1) > UNIT_TOLERANCE:
+    if abs(length - 1) > QUATERNION_TOL:
         raise ValueError(f"a quaternion must be of length 1 (got {length:.4g})")
-    if abs(length - 1) < UNIT_EXACT:
+    if abs(length - 1) < QUATERNION_ROUNDING:
         return q  # so that reading what was written changes no digit
     w, x, y, z = q
     return w / length, x / length, y / length, z / length

@@ -19,7 +19,7 @@ from tacgen.sensor.yaml_source import KeyPath
 if TYPE_CHECKING:
     from numpy import ndarray as Array
 
-MAX_FRAMES = 10_000  # of a segment
+MAX_SEGMENT_FRAMES = 10_000  # of a segment
 Folders = Mapping[KeyPath, Path]  # place in the recipe that names a file -> folder to which its path is relative
 
 
@@ -37,8 +37,10 @@ def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
     if move.sha256 not in (None, table.sha256):
         raise UserError(f"{move.file}: {assets.changed(table.sha256)}")
     rows = table.poses[:: move.every][: move.frames]
-    if len(rows) > MAX_FRAMES:
-        raise UserError(f"{move.file}: gives {len(rows)} frames, at most {MAX_FRAMES} can be: thin it out by `every`")
+    if len(rows) > MAX_SEGMENT_FRAMES:
+        raise UserError(
+            f"{move.file}: gives {len(rows)} frames, at most {MAX_SEGMENT_FRAMES} can be: thin it out by `every`"
+        )
     if len(rows) < (move.frames or 0):
         raise UserError(
             f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for: leave frames out, or as many"

@@ -9,20 +9,20 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.geometry.analytic_sdf import lowest
-from tacgen.geometry.first_touch import ON_PLANE
+from tacgen.geometry.first_touch import MAX_GRID_ERROR_MM
 from tacgen.geometry.pose import about
-from tacgen.mechanics.scene import FORCE_DEPTH
+from tacgen.mechanics.scene import MAX_FORCE_SEARCH_DEPTH
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
 from tacgen.sensor.yaml_source import KeyPath
 
 Array = np.ndarray
-GUESSED_DEPTH = 0.1  # first guess of the depth in the search for a force, over the gel's thickness [-]
-FLANK = "the indenter's flank would meet the gel before its tip"
-BASE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"
-BESIDE = "nothing of the indenter is over the gel, so that it would never touch it"
-EDGE = "would turn the indenter's edge to the base of the gel, or below"
-Z = np.array([0.0, 0.0, 1.0])
+FIRST_DEPTH_RATIO = 0.1  # first guess of the depth in the search for a force, over the gel's thickness [-]
+FLANK_MESSAGE = "the indenter's flank would meet the gel before its tip"
+BASE_MESSAGE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"
+BESIDE_MESSAGE = "nothing of the indenter is over the gel, so that it would never touch it"
+EDGE_MESSAGE = "would turn the indenter's edge to the base of the gel, or below"
+Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 
 class TrajectoryError(Exception):
@@ -91,10 +91,10 @@ class Walk:
             return cls(support, contact, over, thickness, pose, pose, float(pose[2, 3]))
         pose = np.eye(4)
         tilt = about(_level(start.tilt_axis_deg), float(np.radians(start.tilt_deg)))
-        pose[:3, :3] = tilt @ about(Z, float(np.radians(start.yaw_deg)))
+        pose[:3, :3] = tilt @ about(Z_AXIS, float(np.radians(start.yaw_deg)))
         pose[:2, 3] = start.x_mm, start.y_mm
         if math.isinf(stands := support(-pose[2, :3])):
-            raise TrajectoryError(("start", "tilt_deg"), FLANK)
+            raise TrajectoryError(("start", "tilt_deg"), FLANK_MESSAGE)
         pose[2, 3] = start.clearance_mm + (touches if math.isfinite(touches := contact(pose)) else stands)
         return cls(support, contact, over, thickness, pose, pose, float(pose[2, 3]))
 
@@ -123,14 +123,14 @@ class Walk:
         force = getattr(move, "force_n", None)
         contact = self.contact(first) if isinstance(move, Press) or force else np.nan
         if math.isinf(contact):
-            raise TrajectoryError(where, BESIDE)
-        floor = contact - FORCE_DEPTH * self.thickness
+            raise TrajectoryError(where, BESIDE_MESSAGE)
+        floor = contact - MAX_FORCE_SEARCH_DEPTH * self.thickness
         straight = checking and not isinstance(move, Twist | Tilt)
         for k in range(move.frames if straight else 1, move.frames + 1):
             part, asked, below, new = k / move.frames, np.nan, np.nan, first.copy()
             match move:
                 case Press() if force:
-                    new[2, 3] = contact - GUESSED_DEPTH * part * self.thickness
+                    new[2, 3] = contact - FIRST_DEPTH_RATIO * part * self.thickness
                 case Press(depth_mm=float(depth)):
                     new[2, 3] += part * (contact - depth - first[2, 3])
                     self.carry = (1 - part) * first_carry
@@ -146,7 +146,7 @@ class Walk:
             if force:
                 asked, self.carry, below = force, 1.0, new[2, 3] - floor
             self.pose = new
-            if isinstance(move, Twist | Tilt) and (wrong := self._why_impossible(EDGE)):
+            if isinstance(move, Twist | Tilt) and (wrong := self._why_impossible(EDGE_MESSAGE)):
                 raise TrajectoryError((*where, "angle_deg"), wrong)
             yield PathFrame(new, turn, asked, part, self.carry, floor, below)
 
@@ -155,7 +155,7 @@ class Walk:
         self.carry = 0.0
         for row in rows:
             self.pose = row.pose
-            if wrong := self._why_impossible(BASE):
+            if wrong := self._why_impossible(BASE_MESSAGE):
                 raise TrajectoryError(where, f"{name}: line {row.line}: {wrong}")
             yield PathFrame(row.pose)
         self.home = max(self.home, self.contact(self.pose))
@@ -169,7 +169,7 @@ class Walk:
         point on the axis at the height of the lowest one over the gel.
         """
         rotation, z = self.start[:3, :3], float(self.start[2, 3])
-        if math.isfinite(over := self.over(self.start)) and over > z - self.support(-rotation[2]) + ON_PLANE:
+        if math.isfinite(over := self.over(self.start)) and over > z - self.support(-rotation[2]) + MAX_GRID_ERROR_MM:
             return np.asarray(rotation.T @ [0.0, 0.0, over - z])
         return np.asarray(rotation.T @ lowest(self.support, rotation))
 
@@ -181,6 +181,6 @@ class Walk:
     def _why_impossible(self, at_base: str) -> str | None:
         """Why the pose is impossible, or None; `at_base` is the message for a lowest point at the base of the gel."""
         if math.isinf(low := self.low):
-            return FLANK
+            return FLANK_MESSAGE
         at_base_there = low <= -self.thickness and self.over(self.pose) <= -self.thickness
         return at_base.format(low) if at_base_there else None

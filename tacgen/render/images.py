@@ -28,7 +28,7 @@ from tacgen.optics.interreflection import Radiosity
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.render import jpeg, mitsuba_path, traced_maps
 from tacgen.render import mitsuba_variants as probing
-from tacgen.render.mitsuba_path import SPACING, PathTracer
+from tacgen.render.mitsuba_path import SHEET_SPACING_MM, PathTracer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,7 +110,7 @@ class Tabled:
         self._lamps, light = housing.strips(sensor), np.array([led.light for led in sensor.leds])
         level = self._view.look(untouched)
         self._normals = level.normal.reshape(*self._view.shape, 3)
-        fine = Sheet.over(sensor.gel, SPACING)  # of the dents, whatever the pictures'
+        fine = Sheet.over(sensor.gel, SHEET_SPACING_MM)  # of the dents, whatever the pictures'
 
         def calibrate() -> "Floats":
             coarse = traced_maps.zoomed(sensor, TABLE_COLUMNS)
@@ -127,7 +127,7 @@ class Tabled:
             return np.array(made)
 
         face = None if sensor.gel.solid is None else np.round(fine.at(untouched), 3).tolist()  # its file may be another
-        how = TABLE_VERSION, TABLE_COLUMNS, TABLE_EFFORT, taxim_table.PLACES, taxim_table.BALLS
+        how = TABLE_VERSION, TABLE_COLUMNS, TABLE_EFFORT, taxim_table.DENT_CENTRES, taxim_table.DENT_BALLS
         kept = array_cache.kept_one("table", traced_maps.key(sensor, None, *how, face), calibrate)
         self._table = taxim_table.TaximTable.mixed([taxim_table.TaximTable.unpacked(one) for one in kept], light)
         self._flat = Clear(sensor, sheet, False, min(spp, TABLE_EFFORT), untouched).seen(level)
@@ -168,7 +168,7 @@ class Renderer:
             raise ValueError(f"spp must be at least 1, not {spp}")
         self.sensor = sensor
         effort, self.untouched = TransportEffort.of(spp), untouched or Untouched.of(sensor.gel)
-        self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
+        self.sheet = Sheet.over(sensor.gel, SHEET_SPACING_MM if method == "path" else effort.spacing)
         self._view = CameraView(sensor, self.sheet, markers, effort.samples)
         self.stray = camera_response.stray(sensor.camera) if any(sensor.camera.ambient) else None
         pixel = sensor.camera.mm_per_px / effort.samples
@@ -243,10 +243,10 @@ class TransportEffort(NamedTuple):
     def of(cls, spp: int) -> "TransportEffort":
         """The parameters for `spp`, that of draft, default or reference."""
         if spp < 32:
-            return cls(5, 1, 2 * SPACING, adaptive_sampling.SamplingTolerance(8, 1e-2, 0.6))
+            return cls(5, 1, 2 * SHEET_SPACING_MM, adaptive_sampling.SamplingTolerance(8, 1e-2, 0.6))
         if spp <= 256:
-            return cls(6, 1, SPACING, adaptive_sampling.SamplingTolerance())
-        return cls(16, 2, SPACING, adaptive_sampling.SamplingTolerance(4, 3e-3, 0.12))
+            return cls(6, 1, SHEET_SPACING_MM, adaptive_sampling.SamplingTolerance())
+        return cls(16, 2, SHEET_SPACING_MM, adaptive_sampling.SamplingTolerance(4, 3e-3, 0.12))
 
 
 def variants() -> list[probing.VariantProbe]:

@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-SUBSAMPLING = "4:2:2"  # colours at half the width, as cameras stream MJPEG over USB
+JPEG_SUBSAMPLING = "4:2:2"  # colours at half the width, as cameras stream MJPEG over USB
 
 
 def compressed(picture: "NDArray[np.uint8]", quality: int) -> "NDArray[np.uint8]":
@@ -19,6 +19,6 @@ def compressed(picture: "NDArray[np.uint8]", quality: int) -> "NDArray[np.uint8]
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(picture).save(file, "JPEG", quality=quality, subsampling=SUBSAMPLING)
+    Image.fromarray(picture).save(file, "JPEG", quality=quality, subsampling=JPEG_SUBSAMPLING)
     with Image.open(file) as seen:
         return np.array(seen.convert("RGB"))

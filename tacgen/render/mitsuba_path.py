@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     Integers = NDArray[np.integer[Any]]
 
 Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
-SPACING = 0.1  # of the nodes of a deformed sheet [mm]
-SPACING_SCATTERING = 0.3  # the same in a scattering gel, whose light spreads further sideways (9DTact: 0.7 mm)
-MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
-MAX_DEPTH = 12  # path vertices, interfaces included
-MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel
-BLOCK = 8  # side of the blocks that scalar variants render [px]
-LANES = 2**25  # paths that variants with compiled kernels trace at once; each takes some 100 bytes
-FILM = "sensor.film"
+SHEET_SPACING_MM = 0.1  # of the nodes of a deformed sheet [mm]
+SCATTERING_SHEET_SPACING_MM = 0.3  # the same in a scattering gel, whose light spreads further sideways (9DTact: 0.7 mm)
+MASK_PIXEL_MM = 0.02  # pixel of the marker texture [mm]
+MAX_PATH_VERTICES = 12  # path vertices, interfaces included
+MAX_SCATTERING_PATH_VERTICES = 64  # the same in a scattering gel
+SCALAR_BLOCK_PX = 8  # side of the blocks that scalar variants render [px]
+MAX_TRACED_PATHS = 2**25  # paths that variants with compiled kernels trace at once; each takes some 100 bytes
+FILM_KEY = "sensor.film"
 
 
 def mitsuba(name: str) -> Any:
     """Mitsuba with variant `name` switched on."""
-    chosen = next((p for p in probing.variants() if p.variant == name), None) if name == probing.LLVM else None
+    chosen = next((p for p in probing.variants() if p.variant == name), None) if name == probing.LLVM_VARIANT else None
     os.environ.update({k: v for k, v in probing.environment(chosen.library if chosen else "").items() if k != "_"})
     import mitsuba as mi
 
@@ -52,7 +52,7 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
     scene: dict[str, Any] = {
         "type": "scene",
         # blocks seed the sampler, and Mitsuba would cut as many as there are threads
-        "integrator": {**integrator(sensor), "block_size": BLOCK},
+        "integrator": {**integrator(sensor), "block_size": SCALAR_BLOCK_PX},
         "sensor": {
             "type": "perspective",
             "fov": float(np.degrees(2 * np.arctan(eye.width_px / 2 / camera.focal_px))),
@@ -80,13 +80,13 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
     if mitsuba_dicts.scatters(sensor):  # paths are long
         coat = mitsuba_dicts.absorbing(coat)
     if markers and sensor.markers is not None:
-        coat = coating.dotted(coat, sensor.markers, coating.mask(sensor.markers, sheet.size, MASK_PIXEL))
+        coat = coating.dotted(coat, sensor.markers, coating.mask(sensor.markers, sheet.size, MASK_PIXEL_MM))
     return scene, coat
 
 
 def traced_sheet(sensor: "LitSensor") -> Sheet:
     """The nodes of a deformed face that is traced."""
-    return Sheet.over(sensor.gel, SPACING_SCATTERING if mitsuba_dicts.scatters(sensor) else SPACING)
+    return Sheet.over(sensor.gel, SCATTERING_SHEET_SPACING_MM if mitsuba_dicts.scatters(sensor) else SHEET_SPACING_MM)
 
 
 def integrator(sensor: "LitSensor") -> dict[str, Any]:
@@ -96,8 +96,11 @@ def integrator(sensor: "LitSensor") -> dict[str, Any]:
     it carries, and the first vertices, which all paths share, take most of the time.
     """
     if mitsuba_dicts.scatters(sensor):
-        return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH_SCATTERING}
-    return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
+        return {"type": "volpath", "max_depth": MAX_SCATTERING_PATH_VERTICES, "rr_depth": MAX_SCATTERING_PATH_VERTICES}
+    return {
+        "type": "volpath" if any(led.see_through for led in sensor.leds) else "path",
+        "max_depth": MAX_PATH_VERTICES,
+    }
 
 
 def stratified(spp: int) -> int:
@@ -175,7 +178,7 @@ class PathTracer:
     def windows(self, nodes: "Floats", windows: Sequence[Window], spp: int, seed: int) -> "Floats":
         """Linear radiance in some windows alone, nan elsewhere; each draws random numbers of its own."""
         self._move(nodes)
-        width, height = self._params[f"{FILM}.size"]
+        width, height = self._params[f"{FILM_KEY}.size"]
         picture = np.full((height, width, 3), np.nan)
         for i, (x, y, w, h) in enumerate(windows):
             self._crop(x, y, w, h)
@@ -184,7 +187,7 @@ class PathTracer:
         return picture
 
     def _crop(self, x: int, y: int, width: int, height: int) -> None:
-        self._params[f"{FILM}.crop_offset"], self._params[f"{FILM}.crop_size"] = (x, y), (width, height)
+        self._params[f"{FILM_KEY}.crop_offset"], self._params[f"{FILM_KEY}.crop_size"] = (x, y), (width, height)
         self._params.update()
 
     def _move(self, nodes: "Floats") -> None:
@@ -193,8 +196,8 @@ class PathTracer:
         self._params.update()
 
     def _traced(self, spp: int, seed: int) -> "Floats":
-        pixels = int(np.prod(self._params[f"{FILM}.crop_size"]))
-        most = spp if self.variant == probing.SCALAR else max(1, LANES // pixels)
+        pixels = int(np.prod(self._params[f"{FILM_KEY}.crop_size"]))
+        most = spp if self.variant == probing.SCALAR_VARIANT else max(1, MAX_TRACED_PATHS // pixels)
         count = -(-spp // most)
         seeds = [seed] if count == 1 else np.random.SeedSequence(seed).generate_state(count).tolist()
         paths = stratified(-(-spp // count))

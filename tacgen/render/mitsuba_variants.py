@@ -1,7 +1,8 @@
 """Which Mitsuba variants really render on this machine.
 
-Importing is no test: drjit 1.5 aborts the whole process when it compiles with LLVM 14 to 16 (Debian 12's own), and
-when $HOME is missing. So a child process renders a tiny scene, only exit code 0 counts, and the answer is remembered.
+Importing is no test: drjit 1.5 aborts the whole process when it compiles with LLVM_VARIANT 14 to 16 (Debian 12's own),
+and when $HOME is missing. So a child process renders a tiny scene, only exit code 0 counts, and the answer is
+remembered.
 """
 
 import json
@@ -16,7 +17,7 @@ from typing import NamedTuple
 
 from tacgen.base import array_cache
 
-CUDA, LLVM, SCALAR = "cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"
+CUDA_VARIANT, LLVM_VARIANT, SCALAR_VARIANT = "cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"
 LLVM_VERSIONS = (22, 21, 20, 19, 18, 17)  # newest first; older ones abort drjit 1.5
 LIBRARY_FOLDERS = (
     "/usr/lib/x86_64-linux-gnu",
@@ -25,9 +26,9 @@ LIBRARY_FOLDERS = (
     "/usr/lib",
     "/usr/local/lib",
 )
-SECONDS = 120  # a probe that takes longer has failed
+PROBE_TIMEOUT_S = 120  # a probe that takes longer has failed
 
-PROBE = """
+PROBE_PROGRAM = """
 import sys, mitsuba as mi
 mi.set_variant(sys.argv[1])
 scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 3}, "light": {"type": "constant"},
@@ -43,13 +44,13 @@ class VariantProbe(NamedTuple):
     """The outcome of one try."""
 
     variant: str
-    library: str  # the LLVM library given to drjit, "" if none
+    library: str  # the LLVM_VARIANT library given to drjit, "" if none
     works: bool
     note: str
 
 
 def environment(library: str = "") -> dict[str, str]:
-    """The environment Mitsuba needs: a $HOME that exists, and the LLVM library of choice."""
+    """The environment Mitsuba needs: a $HOME that exists, and the LLVM_VARIANT library of choice."""
     made = dict(os.environ)
     if not Path(made.get("HOME") or "/nonexistent").is_dir():
         made["HOME"] = tempfile.gettempdir()
@@ -73,13 +74,13 @@ def probe(variant: str, library: str = "") -> VariantProbe:
     """Render a tiny scene in a child process; whatever kills that child costs this process nothing."""
     try:
         ran = subprocess.run(
-            [sys.executable, "-c", PROBE, variant],
+            [sys.executable, "-c", PROBE_PROGRAM, variant],
             check=False,
             env=environment(library),
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=SECONDS,
+            timeout=PROBE_TIMEOUT_S,
         )
     except (subprocess.TimeoutExpired, OSError) as error:
         return VariantProbe(variant, library, False, f"{type(error).__name__}")
@@ -91,33 +92,33 @@ def probe(variant: str, library: str = "") -> VariantProbe:
 
 
 def variants() -> list[VariantProbe]:
-    """Every variant of interest, best first, with the LLVM library it takes; answers are kept between runs."""
-    return [_cuda(), _llvm(), _remembered(SCALAR, "")]
+    """Every variant of interest, best first, with the LLVM_VARIANT library it takes; answers are kept between runs."""
+    return [_cuda(), _llvm(), _remembered(SCALAR_VARIANT, "")]
 
 
 def best() -> VariantProbe:
-    """The first variant that works: CUDA, then LLVM, then scalar (which is taken on trust)."""
+    """The first variant that works: CUDA_VARIANT, then LLVM_VARIANT, then scalar (which is taken on trust)."""
     for attempt in (_cuda, _llvm):
         fastest = attempt()
         if fastest.works:
             return fastest
-    return VariantProbe(SCALAR, "", True, "always there")
+    return VariantProbe(SCALAR_VARIANT, "", True, "always there")
 
 
 def _cuda() -> VariantProbe:
     if not any(Path(p).exists() for p in ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg")):
-        return VariantProbe(CUDA, "", False, "no NVIDIA device")
-    return _remembered(CUDA, "")
+        return VariantProbe(CUDA_VARIANT, "", False, "no NVIDIA device")
+    return _remembered(CUDA_VARIANT, "")
 
 
 def _llvm() -> VariantProbe:
-    tries = [_remembered(LLVM, library) for library in libraries()]
+    tries = [_remembered(LLVM_VARIANT, library) for library in libraries()]
     works = [t for t in tries if t.works]
     if works:
         return works[0]
     if tries:
         return tries[0]
-    return VariantProbe(LLVM, "", False, "no LLVM 17 or newer found (Debian, Ubuntu: apt install libllvm19)")
+    return VariantProbe(LLVM_VARIANT, "", False, "no LLVM 17 or newer found (Debian, Ubuntu: apt install libllvm19)")
 
 
 def key(variant: str, library: str) -> str:

@@ -10,20 +10,20 @@ from tacgen.base.errors import UserError, why
 if TYPE_CHECKING:
     import numpy as np
 
-LARGEST = 200_000_000  # largest file [bytes]
-MOST_PIXELS = 50_000_000
-FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # some of Pillow's other readers start programs
+MAX_PHOTO_BYTES = 200_000_000  # largest file [bytes]
+MAX_PHOTO_PIXELS = 50_000_000
+PHOTO_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # some of Pillow's other readers start programs
 
 
 def read(path: Path) -> "np.ndarray":
-    """The picture (H, W, 3), 8 bit. Raises UserError: it cannot be read, or has more than MOST_PIXELS."""
+    """The picture (H, W, 3), 8 bit. Raises UserError: it cannot be read, or has more than MAX_PHOTO_PIXELS."""
     import io
 
     import numpy as np
     from PIL import Image
 
     try:
-        content = regular_file.read_bytes(path, LARGEST)
+        content = regular_file.read_bytes(path, MAX_PHOTO_BYTES)
     except FileNotFoundError:
         raise UserError(f"{path}: cannot be read: no such file") from None
     except OSError as error:
@@ -31,11 +31,12 @@ def read(path: Path) -> "np.ndarray":
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about the size, which is checked below
-            with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
-                if picture.width * picture.height > MOST_PIXELS:
+            with Image.open(io.BytesIO(content), formats=PHOTO_FORMATS) as picture:
+                if picture.width * picture.height > MAX_PHOTO_PIXELS:
                     size = f"{picture.width} x {picture.height}"
                     raise UserError(
-                        f"{path}: is {size} pixels, at most {MOST_PIXELS / 1e6:.0f} million can be read: scale it down"
+                        f"{path}: is {size} pixels, at most {MAX_PHOTO_PIXELS / 1e6:.0f} million can be read: scale it "
+                        f"down"
                     )
                 return np.asarray(picture.convert("RGB"))
     except UserError:

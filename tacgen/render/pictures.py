@@ -14,12 +14,13 @@ from tacgen.optics import camera_response
 from tacgen.optics.surface_grid import Surface, Untouched
 from tacgen.render import photograph, tensor_drawing
 from tacgen.render.images import Method, Renderer
-from tacgen.sensor.imperfections import DRIFT, NOISE, Drift
+from tacgen.sensor.imperfections import DRIFT_STREAM, NOISE_STREAM, Drift
 from tacgen.sensor.model import Camera, LitSensor
 
 Array = np.ndarray
-TOGETHER = 64 * 320 * 240  # pixels at most, beyond those of a frame, that are drawn at once; each takes 30 bytes
-WAVES = 64  # of which a drift is the sum: its distribution is normal to within a few per cent
+# pixels at most, beyond those of a frame, that are drawn at once; each takes 30 bytes
+MAX_BATCH_PIXELS = 64 * 320 * 240
+DRIFT_WAVES = 64  # of which a drift is the sum: its distribution is normal to within a few per cent
 
 
 _Drawn = tuple[Array | None, Array | None]  # a frame's radiance and 8-bit picture, each where it is needed
@@ -114,7 +115,7 @@ class Pictures:
         """The pictures of a frame with this face; `later`: so many of the faces after it, at most, by their frames."""
         if self._device is not None and frame not in self._drawn and tensor_drawing.drawable(self.renderer):
             self._drawn = {}  # before there are others
-            at_once = max(1, TOGETHER // (self.flat.size // 3))
+            at_once = max(1, MAX_BATCH_PIXELS // (self.flat.size // 3))
             self._drawn = self._together({frame: face, **later(at_once - 1)}, self._device)
         return Shot(self, frame, face, *self._drawn.get(frame, (None, None)))
 
@@ -124,7 +125,7 @@ class Pictures:
         gain = None if drift is None else drifted(drift, seed, frame)
         if not self._settings.noise:
             return None, gain
-        return np.random.default_rng(np.random.SeedSequence((seed, frame, NOISE))), gain
+        return np.random.default_rng(np.random.SeedSequence((seed, frame, NOISE_STREAM))), gain
 
     def _together(self, faces: Mapping[int, Surface], device: str) -> dict[int, "_Drawn"]:
         """Draw frames by their faces, all at once; nothing, from now on, where the device fails."""
@@ -187,6 +188,9 @@ class Shot:
 def drifted(drift: Drift, seed: int, frame: int) -> Array:
     """Gain of each colour (3,) in a frame: 1 plus a sum of waves over the frames, whose rates are drawn so that the
     correlation of two frames falls as exp(-(difference / frames)^2 / 2)."""
-    random = np.random.default_rng(np.random.SeedSequence((seed, DRIFT)))
-    rate, phase = random.standard_normal((3, WAVES)) / drift.frames, random.uniform(0, 2 * np.pi, (3, WAVES))
-    return np.asarray(1 + drift.gain * np.sqrt(2 / WAVES) * np.cos(rate * frame + phase).sum(axis=1))
+    random = np.random.default_rng(np.random.SeedSequence((seed, DRIFT_STREAM)))
+    rate, phase = (
+        random.standard_normal((3, DRIFT_WAVES)) / drift.frames,
+        random.uniform(0, 2 * np.pi, (3, DRIFT_WAVES)),
+    )
+    return np.asarray(1 + drift.gain * np.sqrt(2 / DRIFT_WAVES) * np.cos(rate * frame + phase).sum(axis=1))

@@ -13,7 +13,13 @@ from tacgen.optics import scattering
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, SPACING, PathTracer, Window
+from tacgen.render.mitsuba_path import (
+    MAX_PATH_VERTICES,
+    MAX_SCATTERING_PATH_VERTICES,
+    SHEET_SPACING_MM,
+    PathTracer,
+    Window,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,13 +28,14 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-FLAT_SPACING = 1.0  # of the nodes of a sheet that stays flat [mm]
-COLUMNS = 40  # width of a traced map [px], whatever the image's
-PATHS = 64  # paths in a pixel of a map for each sample a pixel (spp)
-DENT_PATHS = 4 * PATHS  # the same under a dent: `reach` is then sure to 0.03 mm (0.06 with PATHS) at the largest spp
-MOST = 24  # largest spp that counts for maps: two minutes on one slow core
-SMOOTH = 3.5  # standard deviation of the Gaussian that removes a map's noise [map pixels]
-LINEAR = {
+FLAT_SPACING_MM = 1.0  # of the nodes of a sheet that stays flat [mm]
+MAP_WIDTH_PX = 40  # width of a traced map [px], whatever the image's
+PATHS_PER_SAMPLE = 64  # paths in a pixel of a map for each sample a pixel (spp)
+# the same under a dent: `reach` is then sure to 0.03 mm (0.06 with PATHS_PER_SAMPLE) at the largest spp
+DENT_PATHS_PER_SAMPLE = 4 * PATHS_PER_SAMPLE
+MAX_MAP_SPP = 24  # largest spp that counts for maps: two minutes on one slow core
+MAP_BLUR_PX = 3.5  # standard deviation of the Gaussian that removes a map's noise [map pixels]
+LINEAR_CAMERA_FIELDS = {
     "blur_mm",
     "exposure",
     "ambient",
@@ -39,10 +46,10 @@ LINEAR = {
     "drift",
     "jpeg_quality",
 }  # of the camera: what is laid over a picture's light
-PATTERN = {"grain", "marks", "wear"}  # of the coating: the same
+COATING_PATTERN_FIELDS = {"grain", "marks", "wear"}  # of the coating: the same
 MAP_VERSION = 10  # of how the maps are made; part of their cache key
 SCATTERED_VERSION = 2  # of how `scattered` is made; part of its key in the cache
-CHANGED = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
+MIN_DENT_CHANGE = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
 
 
 class Scattered(NamedTuple):
@@ -56,15 +63,24 @@ class Scattered(NamedTuple):
 
 
 def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
-    """Traced with Mitsuba's `variant`, or from the cache; more than MOST paths a pixel (`spp`) count as MOST."""
-    coarse, untouched, spp = zoomed(sensor, COLUMNS), Untouched.of(sensor.gel), min(spp, MOST)
-    shares, flat, leds = np.array(scattering.SHARES), Sheet.over(sensor.gel, FLAT_SPACING), range(len(sensor.leds))
+    """Traced with Mitsuba's `variant`, or from the cache; more than MAX_MAP_SPP paths a pixel (`spp`) count as
+    MAX_MAP_SPP.
+    """
+    coarse, untouched, spp = zoomed(sensor, MAP_WIDTH_PX), Untouched.of(sensor.gel), min(spp, MAX_MAP_SPP)
+    shares, flat, leds = (
+        np.array(scattering.THICKNESS_SHARES),
+        Sheet.over(sensor.gel, FLAT_SPACING_MM),
+        range(len(sensor.leds)),
+    )
 
     def trace() -> "Floats":
         """Where colours are treated alike, three LEDs at a time, with the noise of each alone."""
 
         def radiance(lit: "LitSensor", seed: int) -> "Floats":
-            return smooth(PathTracer(lit, flat, False, variant).radiance(untouched, spp * PATHS // 4, seed), SMOOTH)
+            return smooth(
+                PathTracer(lit, flat, False, variant).radiance(untouched, spp * PATHS_PER_SAMPLE // 4, seed),
+                MAP_BLUR_PX,
+            )
 
         if not grey(sensor):
             return np.array([radiance(lit_by(coarse, {k}), k) for k in leds])
@@ -75,23 +91,23 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
     def tabulate() -> "Floats":
         tracer = PathTracer(lit_by(zoomed(sensor, 8), set(leds)), flat, False, variant)
         faces = [scattering.UniformFace(sensor.gel, share) for share in shares]
-        return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
+        return np.array([tracer.radiance(face, spp * PATHS_PER_SAMPLE, 0).mean(axis=(0, 1)) for face in faces])
 
     def fitted_reach() -> "Floats":
-        clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, SPACING)
+        clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, SHEET_SPACING_MM)
         middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
-        size, contact = (share * clear for share in scattering.DENT)
+        size, contact = (share * clear for share in scattering.CALIBRATION_DENT)
         dent = BallDent(size, contact, (middle[0], middle[1]), untouched, clear)
         at = CameraView(coarse, sheet, False).look(dent)
         share = scattering.thickness(sensor.gel, at.position).reshape(alone.shape[1:3])
-        window = around(np.abs(share - 1) > CHANGED, round(clear / coarse.camera.mm_per_px))
+        window = around(np.abs(share - 1) > MIN_DENT_CHANGE, round(clear / coarse.camera.mm_per_px))
         evenly = lit_by(coarse, set(leds))
-        traced = PathTracer(evenly, sheet, False, variant).windows(at.nodes, [window], spp * DENT_PATHS, 1)
+        traced = PathTracer(evenly, sheet, False, variant).windows(at.nodes, [window], spp * DENT_PATHS_PER_SAMPLE, 1)
         level = alone.sum(axis=0)
         ratio = np.divide(traced, level, out=np.ones_like(level), where=level > 0)  # past the gel all is dark
         return np.array(scattering.fitted_reach(bright, share, coarse.camera.mm_per_px, ratio))
 
-    name = key(sensor, variant, spp, scattering.SHARES, scattering.DENT, SCATTERED_VERSION)
+    name = key(sensor, variant, spp, scattering.THICKNESS_SHARES, scattering.CALIBRATION_DENT, SCATTERED_VERSION)
     alone = array_cache.kept_one("untouched", name, trace)
     bright = scattering.Brightness.through(shares, array_cache.kept_one("brightness", name, tabulate))
     return Scattered(alone, bright, float(array_cache.kept_one("wander", name, fitted_reach)))
@@ -164,12 +180,25 @@ def key(sensor: "LitSensor", variant: str | None, *more: object) -> str:
     Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
     """
     parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
-    linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR, "coating": PATTERN}
+    linear: Any = {
+        "leds": {"__all__": {"radiance", "power"}},
+        "camera": LINEAR_CAMERA_FIELDS,
+        "coating": COATING_PATTERN_FIELDS,
+    }
     seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
     from tacgen.sensor.layers import LayerBase
 
     optical = LayerBase.model_fields  # the law's own fields are not among them
     seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]
-    how = [MAP_VERSION, COLUMNS, PATHS, DENT_PATHS, SMOOTH, SPACING, MAX_DEPTH, MAX_DEPTH_SCATTERING]
+    how = [
+        MAP_VERSION,
+        MAP_WIDTH_PX,
+        PATHS_PER_SAMPLE,
+        DENT_PATHS_PER_SAMPLE,
+        MAP_BLUR_PX,
+        SHEET_SPACING_MM,
+        MAX_PATH_VERTICES,
+        MAX_SCATTERING_PATH_VERTICES,
+    ]
     parts = [seen, variant, variant and version("mitsuba"), how, more]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]

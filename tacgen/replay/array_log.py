@@ -9,34 +9,34 @@ from typing import Any
 import numpy as np
 
 from tacgen.base import regular_file
-from tacgen.base.csv_table import LARGEST_NUMBER
+from tacgen.base.csv_table import MAX_TABLE_VALUE
 from tacgen.base.errors import UserError, why
 from tacgen.bundle import hdf5_file
 from tacgen.recipe import pose_table
-from tacgen.recipe.trajectory import UNIT_TOLERANCE
-from tacgen.replay.contact_log import ORDERS, ContactLog, Conventions
-from tacgen.replay.layouts import LAYOUTS, Force, Layout
+from tacgen.recipe.trajectory import QUATERNION_TOL
+from tacgen.replay.contact_log import QUATERNION_ORDERS, ContactLog, Conventions
+from tacgen.replay.layouts import LOG_LAYOUTS, Force, Layout
 
 Array = np.ndarray
 Arrays = dict[str, Array]
-LARGEST = 2**33  # of a file, and of one array [bytes]
-UNREAD = np.empty(0)  # in the place of arrays that are no part of a log
-LZF = 32000  # h5py's own filter
+MAX_LOG_BYTES = 2**33  # of a file, and of one array [bytes]
+UNREAD_ARRAY = np.empty(0)  # in the place of arrays that are no part of a log
+LZF_FILTER = 32000  # h5py's own filter
 
 
 def archive(path: Path, layout: Layout) -> Arrays:
     """The arrays of a layout in an npz file, with the names of all others. Raises UserError: it cannot be read."""
     try:
-        with warnings.catch_warnings(), regular_file.opened(path, LARGEST) as content:
+        with warnings.catch_warnings(), regular_file.opened(path, MAX_LOG_BYTES) as content:
             warnings.simplefilter("ignore")  # about a header that an old NumPy wrote, or somebody crafted
             if not zipfile.is_zipfile(content):
                 raise ValueError("it is no npz file")
             content.seek(0)
             with np.load(content, allow_pickle=False) as file:
                 sizes = {info.filename.removesuffix(".npy"): info.file_size for info in file.zip.infolist()}
-                if big := [name for name in layout.names & sizes.keys() if sizes[name] > LARGEST]:
-                    raise ValueError(f"{big[0]} is larger than {LARGEST >> 30} GB")
-                arrays = {name: file[name] if name in layout.names else UNREAD for name in file.files}
+                if big := [name for name in layout.names & sizes.keys() if sizes[name] > MAX_LOG_BYTES]:
+                    raise ValueError(f"{big[0]} is larger than {MAX_LOG_BYTES >> 30} GB")
+                arrays = {name: file[name] if name in layout.names else UNREAD_ARRAY for name in file.files}
                 if no_array := [name for name, array in arrays.items() if not isinstance(array, np.ndarray)]:
                     raise ValueError(f"{no_array[0]} is no array")
                 return arrays
@@ -53,7 +53,7 @@ def hdf5(path: Path, group: str, layout: Layout) -> Arrays:
         except (KeyError, ValueError, AttributeError, TypeError):  # nothing, a link, a dataset
             there = ", ".join(_names(root)) or "none"
             raise UserError(f"{path}: cannot be read: it has no group {group}; there are: {there}") from None
-        return {name: _dataset(path, inner, name) if name in layout.names else UNREAD for name in names}
+        return {name: _dataset(path, inner, name) if name in layout.names else UNREAD_ARRAY for name in names}
 
 
 def _names(group: Any) -> list[str]:
@@ -68,10 +68,10 @@ def _dataset(path: Path, group: Any, name: str) -> Array:
     try:
         data = hdf5_file.item_at(group, name)
         kind, text = data.dtype.kind, h5py.check_string_dtype(data.dtype)
-        if problem := hdf5_file.not_here(data.id, hdf5_file.FILTERS | {LZF}):
+        if problem := hdf5_file.not_here(data.id, hdf5_file.ALLOWED_FILTERS | {LZF_FILTER}):
             raise ValueError(problem)
-        if data.nbytes > LARGEST or (kind == "O" and text is None):
-            raise ValueError(f"it must be numbers or text of at most {LARGEST >> 30} GB")
+        if data.nbytes > MAX_LOG_BYTES or (kind == "O" and text is None):
+            raise ValueError(f"it must be numbers or text of at most {MAX_LOG_BYTES >> 30} GB")
         return np.asarray(data.asstr()[()] if kind == "O" else data[()])
     except Exception as error:  # as of `opened`
         raise UserError(f"{path}: cannot be read: {name}: {_said_by(error)}") from error
@@ -88,20 +88,20 @@ def log_of(name: str, arrays: Arrays, how: Conventions, environment: int | None)
         ValueError: an array is missing, is of no numbers or of another shape; nothing says the unit of lengths or the
             order of quaternions.
     """
-    layout = LAYOUTS[how.layout]
-    fitting = [name for name, other in LAYOUTS.items() if other.names_of_object(arrays)]
+    layout = LOG_LAYOUTS[how.layout]
+    fitting = [name for name, other in LOG_LAYOUTS.items() if other.names_of_object(arrays)]
     if how.layout not in fitting:
         wanted = " and ".join(names[0] for names in (layout.position, layout.rotation) if names) or layout.pose[0]
         hint = f"its arrays are those of --from {fitting[0]}" if fitting else f"--from {how.layout} reads these"
         raise ValueError(f"has no array {wanted} (it has: {', '.join(arrays)}); {hint}")
-    order = _said("quaternion", how.quaternion, arrays, layout.quaternion, tuple(ORDERS))
-    scale = pose_table.MM[_said("units", how.units, arrays, layout.units, tuple(pose_table.MM))]
+    order = _said("quaternion", how.quaternion, arrays, layout.quaternion, tuple(QUATERNION_ORDERS))
+    scale = pose_table.MM_PER_UNIT[_said("units", how.units, arrays, layout.units, tuple(pose_table.MM_PER_UNIT))]
     if "time" not in arrays:
         raise ValueError(f"has no array time [s] (it has: {', '.join(arrays)})")
     if arrays["time"].dtype.kind not in "fiu":
         raise ValueError("time holds no numbers")
     time = np.asarray(arrays["time"], float).ravel()
-    if len(time) < 1 or not ((np.abs(time) < LARGEST_NUMBER).all() and (np.diff(time) > 0).all()):
+    if len(time) < 1 or not ((np.abs(time) < MAX_TABLE_VALUE).all() and (np.diff(time) > 0).all()):
         raise ValueError("time must increase from row to row")
 
     def rows(name: str, width: int) -> Array:
@@ -132,8 +132,8 @@ def _force(known: Force, arrays: Arrays, rows: Callable[[str, int], Array]) -> A
         if arrays[known.friction].shape != arrays[known.name].shape:
             raise ValueError(f"{known.friction} has another shape than {known.name}: record both for the same body")
         force = force + np.nan_to_num(rows(known.friction, 3))  # nan where nothing touches
-    if (wrong := ~(np.abs(force) < LARGEST_NUMBER)).any():  # nan, too
-        raise ValueError(f"{known.name} must be numbers, and is not in row {_first(wrong)} (below {LARGEST_NUMBER:g})")
+    if (wrong := ~(np.abs(force) < MAX_TABLE_VALUE)).any():  # nan, too
+        raise ValueError(f"{known.name} must be numbers, and is not in row {_first(wrong)} (below {MAX_TABLE_VALUE:g})")
     return force
 
 
@@ -174,15 +174,15 @@ def _rows(name: str, array: Array, count: int, width: int, environment: int | No
 def _poses(name: str, position: Array, quaternion: Array, order: str) -> Array:
     from scipy.spatial.transform import Rotation
 
-    large = ~(np.abs(np.hstack([position, quaternion])) < LARGEST_NUMBER).all(1)  # or nan
+    large = ~(np.abs(np.hstack([position, quaternion])) < MAX_TABLE_VALUE).all(1)  # or nan
     length = np.linalg.norm(np.where(large[:, None], np.nan, quaternion), axis=1)
-    if (wrong := ~(np.abs(length - 1) <= UNIT_TOLERANCE)).any():
+    if (wrong := ~(np.abs(length - 1) <= QUATERNION_TOL)).any():
         row = _first(wrong)
         raise ValueError(
             f"{name}: row {row}: a pose needs numbers and a quaternion of length 1 (got {length[row]:.4g})"
         )
     poses = np.tile(np.eye(4), (len(position), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(quaternion[:, ORDERS[order]], scalar_first=True).as_matrix()
+    poses[:, :3, :3] = Rotation.from_quat(quaternion[:, QUATERNION_ORDERS[order]], scalar_first=True).as_matrix()
     poses[:, :3, 3] = position
     return poses
 

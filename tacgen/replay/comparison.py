@@ -20,12 +20,12 @@ from tacgen.recipe.trajectory import Placement
 from tacgen.replay.contact_log import ContactLog
 
 Array = np.ndarray
-STD = "/frames/uncertainty/force"
-TOUCHED = 1e-3  # smallest force that counts as contact [N]
-HALF_90 = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
-FILES = ("forces.csv", "forces.txt", "forces.png")
-ROWS = 12  # frames of a log that are printed
-AXES = "xyz"
+STD_PATH = "/frames/uncertainty/force"
+MIN_CONTACT_FORCE_N = 1e-3  # smallest force that counts as contact [N]
+HALF_90_PER_STD = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
+COMPARISON_FILES = ("forces.csv", "forces.txt", "forces.png")
+MAX_PRINTED_FRAMES = 12  # frames of a log that are printed
+FORCE_AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Compared:
         """Whether either of the two has contact: (n,) booleans."""
         size = np.linalg.norm(self.ours, axis=1)
         other = size if self.theirs is None else np.linalg.norm(self.theirs, axis=1)
-        return np.asarray(np.maximum(size, other) > TOUCHED)
+        return np.asarray(np.maximum(size, other) > MIN_CONTACT_FORCE_N)
 
     def summary(self) -> dict[str, Any]:
         """Largest forces and errors as JSON values; errors are the simulator's force less tacgen's."""
@@ -66,7 +66,7 @@ class Compared:
                 theirs = float(np.linalg.norm(self.theirs[side, :2]))
                 found["tangential"] |= {"theirs_n": theirs, **_errors(self.ours, self.theirs, [0, 1])}
             if self.std is not None:
-                off, sure = np.abs(self.theirs - self.ours)[:, 2], HALF_90 * self.std[:, 2]
+                off, sure = np.abs(self.theirs - self.ours)[:, 2], HALF_90_PER_STD * self.std[:, 2]
                 found["inside_90"] = float((off <= sure)[self.contact].mean()) if self.contact.any() else None
         return found
 
@@ -75,7 +75,7 @@ def _errors(ours: Array, theirs: Array, axes: list[int]) -> dict[str, float | No
     """Root mean square of the error over frames, and its ratio to that of our force."""
     error = float(np.sqrt(((theirs - ours)[:, axes] ** 2).sum(1).mean()))
     size = float(np.sqrt((ours[:, axes] ** 2).sum(1).mean()))
-    return {"rms_error_n": error, "relative": error / size if size > TOUCHED else None}
+    return {"rms_error_n": error, "relative": error / size if size > MIN_CONTACT_FORCE_N else None}
 
 
 def compare(log: ContactLog, bundle: Bundle, sensor_pose: Placement) -> Compared:
@@ -87,7 +87,7 @@ def compare(log: ContactLog, bundle: Bundle, sensor_pose: Placement) -> Compared
         turned = (mount if done.sensor is None else done.sensor @ mount)[:, :3, :3]
         theirs = np.einsum("nji,nj->ni", np.broadcast_to(turned, (len(done), 3, 3)), done.force)
     force, torque = bundle["/frames/force"], bundle["/frames/torque"]
-    std = bundle[STD] if STD in bundle.shapes else None
+    std = bundle[STD_PATH] if STD_PATH in bundle.shapes else None
     return Compared(done, bundle.path.stem, str(bundle.attrs["reason"]), force, torque, std, theirs)
 
 
@@ -96,8 +96,8 @@ def table(found: Sequence[Compared]) -> str:
     out = io.StringIO()
     lines = csv.writer(out, lineterminator="\n")
     groups = ("force", "std", "simulator", "error")
-    named = [f"{group}_{axis}_n" for group in groups for axis in AXES]
-    lines.writerow(["log", "scene", "frame", "row", "time_s", *named, *(f"torque_{axis}_nmm" for axis in AXES)])
+    named = [f"{group}_{axis}_n" for group in groups for axis in FORCE_AXES]
+    lines.writerow(["log", "scene", "frame", "row", "time_s", *named, *(f"torque_{axis}_nmm" for axis in FORCE_AXES)])
     for one in found:
         nothing = np.full((len(one.ours), 3), np.nan)
         std, theirs = (nothing if part is None else part for part in (one.std, one.theirs))
@@ -140,22 +140,22 @@ def _cells(found: dict[str, Any], force: str) -> list[str]:
     if "theirs_n" not in part:
         return [shown, *["-"] * 4]
     theirs, relative = part["theirs_n"], part["relative"]
-    off = f"{100 * (theirs / ours - 1):+.1f} %" if ours > TOUCHED else "-"
+    off = f"{100 * (theirs / ours - 1):+.1f} %" if ours > MIN_CONTACT_FORCE_N else "-"
     ratio = "-" if relative is None else f"{100 * relative:.1f} %"
     return [shown, _with(theirs, None), off, _with(part["rms_error_n"], None), ratio]
 
 
 def _with(value: float, std: float | None) -> str:
-    """A force [N] with its standard deviation; one below TOUCHED is rounding or the mesh's."""
-    if value < TOUCHED:
-        return f"< {TOUCHED:g}"
+    """A force [N] with its standard deviation; one below MIN_CONTACT_FORCE_N is rounding or the mesh's."""
+    if value < MIN_CONTACT_FORCE_N:
+        return f"< {MIN_CONTACT_FORCE_N:g}"
     return f"{value:.3g}" if std is None else f"{value:.3g} +- {std:.2g}"
 
 
 def _frames(one: Compared) -> list[str]:
     rows = [["row", "time [s]", "tacgen", "+-", "simulator", "error"]]
     time = csv_table.numerals(one.log.time.tolist(), 6)
-    for k in range(0, len(one.ours), -(-len(one.ours) // ROWS)):
+    for k in range(0, len(one.ours), -(-len(one.ours) // MAX_PRINTED_FRAMES)):
         theirs = None if one.theirs is None else one.theirs[k]
         parts = (one.ours[k], None if one.std is None else one.std[k], theirs)
         error = None if theirs is None else theirs - one.ours[k]
@@ -175,11 +175,11 @@ def _aligned(rows: list[list[str]]) -> list[str]:
 def write(
     found: Sequence[Compared], folder: Path, inputs: Sequence[Path] = (), *, overwrite: bool = False
 ) -> list[Path]:
-    """Write FILES into a folder and return their paths. Raises UserError: one is an input, or is there and is not what
-    tacgen wrote, and there is no `overwrite`."""
+    """Write COMPARISON_FILES into a folder and return their paths. Raises UserError: one is an input, or is there and
+    is not what tacgen wrote, and there is no `overwrite`."""
     from tacgen.report import force_figure
 
-    paths = lines, words, picture = [folder / name for name in FILES]
+    paths = lines, words, picture = [folder / name for name in COMPARISON_FILES]
     options: dict[str, Any] = {"overwrite": overwrite, "within": folder, "kind": "result"}
     for path, content in ((lines, table(found)), (words, text(found) + "\n")):
         output_file.put(path, content.encode(), inputs, **options)

@@ -8,18 +8,18 @@ import numpy as np
 from tacgen.base.errors import UserError
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import Column
-from tacgen.replay.layouts import LAYOUTS
+from tacgen.replay.layouts import LOG_LAYOUTS
 
 Array = np.ndarray
-ORDERS = {"wxyz": [0, 1, 2, 3], "xyzw": [3, 0, 1, 2]}  # columns of w x y z
-ON, FRAMES = ("sensor", "object"), ("world", "sensor")
+QUATERNION_ORDERS = {"wxyz": [0, 1, 2, 3], "xyzw": [3, 0, 1, 2]}  # columns of w x y z
+FORCE_BODIES, FORCE_FRAMES = ("sensor", "object"), ("world", "sensor")
 
 
 @dataclass(frozen=True)
 class Conventions:
     """How to read a log; empty where the file or its layout says it."""
 
-    layout: str = "tacgen"  # a name of LAYOUTS
+    layout: str = "tacgen"  # a name of LOG_LAYOUTS
     quaternion: str = ""  # wxyz or xyzw
     units: str = ""  # of lengths: m or mm
     force_on: str = "sensor"  # or object
@@ -29,11 +29,11 @@ class Conventions:
 
     def __post_init__(self) -> None:
         for option, value, known in (
-            ("--from", self.layout, tuple(LAYOUTS)),
-            ("--quaternion", self.quaternion, ("", *ORDERS)),
-            ("--units", self.units, ("", *pose_table.MM)),
-            ("--force-on", self.force_on, ON),
-            ("--force-frame", self.force_frame, FRAMES),
+            ("--from", self.layout, tuple(LOG_LAYOUTS)),
+            ("--quaternion", self.quaternion, ("", *QUATERNION_ORDERS)),
+            ("--units", self.units, ("", *pose_table.MM_PER_UNIT)),
+            ("--force-on", self.force_on, FORCE_BODIES),
+            ("--force-frame", self.force_frame, FORCE_FRAMES),
         ):
             if value not in known:
                 raise UserError(f"{option} {value}: must be one of {', '.join(filter(None, known))}")

@@ -58,7 +58,7 @@ class Layout(NamedTuple):
         return (*self.sensor_position[:1], *self.sensor_rotation[:1])
 
 
-LAYOUTS = {
+LOG_LAYOUTS = {
     "tacgen": Layout(
         ("object_position",), ("object_quaternion",), ("object_pose",),
         ("sensor_position",), ("sensor_quaternion",), ("sensor_pose",),

@@ -1,7 +1,8 @@
 """Reading of contact logs.
 
-A CSV log is a pose table (see tacgen.recipe.pose_table) with columns of the force; an npz or HDF5 log has arrays with
-the names of a Layout. Both become a ContactLog: mm, s and N, poses in the world frame, the force on the sensor.
+A CSV log is a pose table (see tacgen.recipe.pose_table) with columns of the force; an npz or HDF5_SUFFIXES log has
+arrays with the names of a Layout. Both become a ContactLog: mm, s and N, poses in the world frame, the force on the
+sensor.
 """
 
 from collections.abc import Sequence
@@ -14,9 +15,9 @@ from tacgen.base.errors import UserError, printable
 from tacgen.recipe import pose_table
 from tacgen.replay import array_log
 from tacgen.replay.contact_log import ContactLog, Conventions
-from tacgen.replay.layouts import LAYOUTS
+from tacgen.replay.layouts import LOG_LAYOUTS
 
-TABLES, ARCHIVES, HDF5 = (".csv", ".txt"), (".npz",), (".h5", ".hdf5")
+TABLE_SUFFIXES, ARCHIVE_SUFFIXES, HDF5_SUFFIXES = (".csv", ".txt"), (".npz",), (".h5", ".hdf5")
 
 
 def read(path: Path, how: Conventions, environments: Sequence[int] = ()) -> list[ContactLog]:
@@ -26,16 +27,18 @@ def read(path: Path, how: Conventions, environments: Sequence[int] = ()) -> list
         UserError: the file cannot be read, lacks an array, or does not say its units or the order of its quaternions.
     """
     suffix = path.suffix.lower()
-    if suffix in TABLES:
+    if suffix in TABLE_SUFFIXES:
         if how.quaternion or environments:
             raise UserError(
                 f"{path}: is a table, whose columns qw, qx, qy, qz are named: leave --quaternion and --env out"
             )
         return [_oriented(_of_table(path, how), how)]
-    if suffix not in (*ARCHIVES, *HDF5):
-        raise UserError(f"{path}: is no log: it must be {', '.join((*TABLES, *ARCHIVES, *HDF5))}")
-    layout = LAYOUTS[how.layout]
-    arrays = array_log.archive(path, layout) if suffix in ARCHIVES else array_log.hdf5(path, how.group, layout)
+    if suffix not in (*ARCHIVE_SUFFIXES, *HDF5_SUFFIXES):
+        raise UserError(
+            f"{path}: is no log: it must be {', '.join((*TABLE_SUFFIXES, *ARCHIVE_SUFFIXES, *HDF5_SUFFIXES))}"
+        )
+    layout = LOG_LAYOUTS[how.layout]
+    arrays = array_log.archive(path, layout) if suffix in ARCHIVE_SUFFIXES else array_log.hdf5(path, how.group, layout)
     many: Sequence[int | None] = environments or [None]
     try:
         return [_oriented(array_log.log_of(_name(path), arrays, how, each), how) for each in many]

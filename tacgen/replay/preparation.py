@@ -13,11 +13,11 @@ from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Placement, Replay, Start
 from tacgen.replay import log_file, selection, written_recipe
 from tacgen.replay.contact_log import ContactLog, Conventions
-from tacgen.replay.written_recipe import RECIPE
+from tacgen.replay.written_recipe import RECIPE_FILE
 from tacgen.sensor.validation_messages import validate
 from tacgen.sensor.yaml_source import Tree, at
 
-WRITTEN = ("trajectory", "vary", "start")  # keys of the recipe that is written, which no override may change
+WRITTEN_KEYS = ("trajectory", "vary", "start")  # keys of the recipe that is written, which no override may change
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,11 @@ def prepare(
     up = {"indenter": {"up": body.indenter.up}} if body.indenter.shape == "mesh" else {}
     source = Path(recipe) if base == assets.folder("recipes") / f"{recipe}.yaml" else base.resolve()
     start = {"start": Start().model_dump()} if "start" in tree.data else {}
-    left = tuple(text for text in sets if not text.strip().startswith(WRITTEN))
+    left = tuple(text for text in sets if not text.strip().startswith(WRITTEN_KEYS))
     grazes = {"may_miss": True}  # a log whose closest row may touch nothing
-    files[RECIPE] = written_recipe.text(source, left, move, list(files), start | up | extra | grazes)
+    files[RECIPE_FILE] = written_recipe.text(source, left, move, list(files), start | up | extra | grazes)
     written_recipe.write(files, out, [base, *paths], overwrite)
-    return Prepared(out / RECIPE, template.sensor_pose, tuple(touching), left, tuple(notes))
+    return Prepared(out / RECIPE_FILE, template.sensor_pose, tuple(touching), left, tuple(notes))
 
 
 def _template(tree: Tree) -> tuple[Replay, Placement | None]:

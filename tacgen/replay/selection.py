@@ -14,16 +14,17 @@ from tacgen.recipe import assets, indenters, pose_table
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Placement
-from tacgen.recipe.trajectory_checks import MAX_FRAMES
+from tacgen.recipe.trajectory_checks import MAX_SEGMENT_FRAMES
 from tacgen.replay.contact_log import ContactLog
 
 Array = np.ndarray
-SPACING = 1.0  # of the points of the face at which distances are looked at [mm]
-BETWEEN = SPACING / np.sqrt(2)  # largest distance of a point of the face from these [mm]
-LOOKED_AT = 2000  # rows of a log without contact, most of which are far away
-AT_ONCE = 100_000  # points for which distances are computed together
-AXES = ("+z", "-z", "+x", "-x", "+y", "-y")
-CENTRED = {"sphere": "radius_mm", "torus": "tube_radius_mm"}  # height of the centre, where a simulator has the origin
+FACE_SPACING_MM = 1.0  # of the points of the face at which distances are looked at [mm]
+MAX_FACE_POINT_DISTANCE_MM = FACE_SPACING_MM / np.sqrt(2)  # largest distance of a point of the face from these [mm]
+MAX_EXAMINED_ROWS = 2000  # rows of a log without contact, most of which are far away
+MAX_DISTANCE_POINTS = 100_000  # points for which distances are computed together
+UP_AXES = ("+z", "-z", "+x", "-x", "+y", "-y")
+# height of the centre, where a simulator has the origin
+CENTRE_HEIGHT_KEYS = {"sphere": "radius_mm", "torus": "tube_radius_mm"}
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def body_of(indenter: Indenter, given: Placement | None, turns: Array) -> Record
         solid = mesh_file.read(assets.mesh_path(indenter.file))
         scale, size = indenter.scale, indenter.size_mm
         if given is None:
-            up = max(AXES, key=lambda axis: _height(axis, turns))
+            up = max(UP_AXES, key=lambda axis: _height(axis, turns))
             indenter = indenter.model_copy(update={"up": up})
             given = placement(mesh_import.placement(solid, up=up, scale=scale, size=size))
         placed = mesh_import.placed(solid, up=indenter.up, scale=scale, size=size)
@@ -85,12 +86,12 @@ def body_of(indenter: Indenter, given: Placement | None, turns: Array) -> Record
 
         return RecordedBody(indenter, given, lambda p: mesh_import.signed_distance(placed, p), low)
     if given is None:
-        if indenter.shape not in CENTRED:
+        if indenter.shape not in CENTRE_HEIGHT_KEYS:
             raise UserError(
                 f"indenter: where is the {indenter.shape} in the recorded body? Say it in the recipe, by"
                 " trajectory: [{replay: {file: log.csv, indenter_pose: {position_mm: [0, 0, 0]}}}], or use a mesh"
             )
-        given = Placement(position_mm=(0.0, 0.0, -getattr(indenter, CENTRED[indenter.shape])))
+        given = Placement(position_mm=(0.0, 0.0, -getattr(indenter, CENTRE_HEIGHT_KEYS[indenter.shape])))
     shape = indenters.analytic(indenter)
     assert shape is not None
     return RecordedBody(indenter, given, shape.value, lambda pose: float(pose[2, 3] - shape.support(-pose[2, :3])))
@@ -116,17 +117,17 @@ def chosen(
     gap = gaps(body, gel, poses, choice.near_mm)
     if least(body, gel, gap.min(), poses[gap.argmin()]) > 0:
         return _missed(some, body, gel, poses)
-    solved = some.some(runs(gap <= choice.near_mm + BETWEEN, gap <= 0, choice.every))
-    if len(solved) > MAX_FRAMES:
+    solved = some.some(runs(gap <= choice.near_mm + MAX_FACE_POINT_DISTANCE_MM, gap <= 0, choice.every))
+    if len(solved) > MAX_SEGMENT_FRAMES:
         raise UserError(
-            f"{log.name}: {len(solved)} rows are near contact, at most {MAX_FRAMES} can be: --every takes some"
+            f"{log.name}: {len(solved)} rows are near contact, at most {MAX_SEGMENT_FRAMES} can be: --every takes some"
         )
     return solved
 
 
 def _missed(log: ContactLog, body: RecordedBody, gel: GelBody, poses: Array) -> str:
-    """A line about a log without contact: how close it comes, in one of LOOKED_AT of its rows."""
-    rows = np.arange(len(log))[:: -(-len(log) // LOOKED_AT)]
+    """A line about a log without contact: how close it comes, in one of MAX_EXAMINED_ROWS of its rows."""
+    rows = np.arange(len(log))[:: -(-len(log) // MAX_EXAMINED_ROWS)]
     gap = gaps(body, gel, poses[rows], np.inf)
     nearest = rows[gap.argmin()]
     closest = least(body, gel, gap.min(), poses[nearest])
@@ -139,13 +140,13 @@ def _missed(log: ContactLog, body: RecordedBody, gel: GelBody, poses: Array) -> 
 def gaps(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array:
     """Distance (n,) [mm] of the object from points of the untouched face at poses (n, 4, 4); negative where it touches.
 
-    It is at most BETWEEN larger than that from the face. For an object higher than `within` [mm] it is the height of
-    its lowest point, which is not larger than its distance.
+    It is at most MAX_FACE_POINT_DISTANCE_MM larger than that from the face. For an object higher than `within` [mm] it
+    is the height of its lowest point, which is not larger than its distance.
     """
     face = _face(gel)
     found = np.array([body.lowest(pose) for pose in poses])  # the face is nowhere above z = 0
     low = np.flatnonzero(found <= within)
-    step = max(1, AT_ONCE // len(face))
+    step = max(1, MAX_DISTANCE_POINTS // len(face))
     for some in (low[k : k + step] for k in range(0, len(low), step)):
         points = np.concatenate([Pose.of(poses[k]).local(face) for k in some])
         found[some] = body.distance(points).reshape(len(some), -1).min(1)
@@ -173,7 +174,7 @@ def least(body: RecordedBody, gel: GelBody, gap: float, pose: Array) -> float:
 
 def _face(gel: GelBody) -> Array:
     """Points (n, 3) of the untouched face [mm]."""
-    sides = [np.linspace(-s / 2, s / 2, 2 + int(s / SPACING)) for s in (gel.width, gel.height)]
+    sides = [np.linspace(-s / 2, s / 2, 2 + int(s / FACE_SPACING_MM)) for s in (gel.width, gel.height)]
     x, y = np.meshgrid(*sides)
     here = gel.contains(x, y)
     return np.column_stack([x[here], y[here], gel.top(x[here], y[here])])

@@ -16,8 +16,8 @@ from tacgen.replay.contact_log import ContactLog
 from tacgen.sensor.yaml_source import quoted
 
 Array = np.ndarray
-RECIPE = "recipe.yaml"
-TITLES = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+RECIPE_FILE = "recipe.yaml"
+POSE_TITLES = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
 
 def table(log: ContactLog) -> str:
@@ -27,9 +27,9 @@ def table(log: ContactLog) -> str:
     def columns(poses: Array) -> Array:
         return np.hstack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)])
 
-    titles, parts = [*TITLES], [columns(log.body)]
+    titles, parts = [*POSE_TITLES], [columns(log.body)]
     if log.sensor is not None:
-        titles += [f"sensor_{title}" for title in TITLES]
+        titles += [f"sensor_{title}" for title in POSE_TITLES]
         parts.append(columns(log.sensor))
     if log.force is not None:
         titles += [f"force_{axis}_n" for axis in "xyz"]
@@ -45,7 +45,7 @@ def text(base: Path, sets: Sequence[str], move: dict[str, Any], tables: list[str
     overrides = "".join(f" --set {shlex.quote(' '.join(text.split()))}" for text in sets)
     vary = {"method": "grid", "over": {"trajectory[0].replay.file": {"choice": tables}}} if len(tables) > 1 else None
     keys = {"trajectory": [{"replay": {"file": tables[0], **move}}], **more}
-    lines = [f"# {printable(f'tacgen run {RECIPE} -o OTHER_FOLDER{overrides}')}", f"extends: {quoted(base)}"]
+    lines = [f"# {printable(f'tacgen run {RECIPE_FILE} -o OTHER_FOLDER{overrides}')}", f"extends: {quoted(base)}"]
     lines += [f"{key}: {json.dumps(value)}" for key, value in {**keys, "vary": vary}.items()]
     return "\n".join(lines) + "\n"
 
@@ -57,7 +57,7 @@ def write(files: dict[str, str], out: Path, inputs: Sequence[Path], overwrite: b
         UserError: one of `inputs` has the name of one, or of a result or bundle; without `overwrite`, one is there with
             other contents, or a result that tacgen did not write or that somebody changed.
     """
-    for name in comparison.FILES:
+    for name in comparison.COMPARISON_FILES:
         output_file.refuse(out / name, inputs, overwrite=overwrite, kind="result")
     for path in inputs:
         if path.resolve().parent == out.resolve() and re.fullmatch(r"scene-\d+\.h5", path.resolve().name):

@@ -21,12 +21,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLUMNS = 5  # more would make the text unreadable on a page
+MAX_FIGURE_COLUMNS = 5  # more would make the text unreadable on a page
 # Inches: a panel, the gap between panels, margins of the page, and the height of the force plot
-PANEL, GAP, LEFT, RIGHT, TOP, ABOVE_FORCES, FORCES, BELOW = 1.4, 0.07, 0.9, 0.85, 0.85, 0.75, 1.4, 0.7
-SHADES = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
-SHADES |= {"close": "#e4e4e4", "lift": "#d3e5f5", "tilt": "#ece1f3", "replay": "#f4f4f4"}
-LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's palette
+PANEL_IN, GAP_IN, LEFT_IN, RIGHT_IN, TOP_IN, ABOVE_FORCES_IN, FORCES_IN, BELOW_IN = (
+    1.4,
+    0.07,
+    0.9,
+    0.85,
+    0.85,
+    0.75,
+    1.4,
+    0.7,
+)
+SEGMENT_COLOURS = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
+SEGMENT_COLOURS |= {"close": "#e4e4e4", "lift": "#d3e5f5", "tilt": "#ece1f3", "replay": "#f4f4f4"}
+FORCE_COLOURS = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's palette
 
 
 def picture(path: Path, out: Path) -> None:
@@ -63,25 +72,29 @@ def figure(bundle: Bundle) -> "Figure":
 
     Rows whose dataset is not in the bundle are left out. Image axes: x right, y down, in mm of the untouched face.
     """
-    rows = [draw for wanted, draw in ROWS if any(p in bundle for p in wanted) and bundle.frames]
-    shown = np.unique(np.linspace(0, max(bundle.frames - 1, 0), COLUMNS).round().astype(int)) if rows else np.zeros(0)
+    rows = [draw for wanted, draw in FIGURE_ROWS if any(p in bundle for p in wanted) and bundle.frames]
+    shown = (
+        np.unique(np.linspace(0, max(bundle.frames - 1, 0), MAX_FIGURE_COLUMNS).round().astype(int))
+        if rows
+        else np.zeros(0)
+    )
     image, window = image_size(bundle), window_of(bundle)
-    tall = PANEL * image[0] / image[1]
-    wide = max(len(shown) * (PANEL + GAP), 5.0)
-    height = (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW
-    sheet = Page(LEFT + wide + RIGHT, height)
+    tall = PANEL_IN * image[0] / image[1]
+    wide = max(len(shown) * (PANEL_IN + GAP_IN), 5.0)
+    height = (TOP_IN if rows else 0.2) + len(rows) * (tall + GAP_IN) + ABOVE_FORCES_IN + FORCES_IN + BELOW_IN
+    sheet = Page(LEFT_IN + wide + RIGHT_IN, height)
     for r, draw in enumerate(rows):
-        y = TOP + r * (tall + GAP)
-        panels = [sheet.axes(LEFT + c * (PANEL + GAP), y, PANEL, tall) for c in range(len(shown))]
+        y = TOP_IN + r * (tall + GAP_IN)
+        panels = [sheet.axes(LEFT_IN + c * (PANEL_IN + GAP_IN), y, PANEL_IN, tall) for c in range(len(shown))]
         colours = draw(bundle, panels, shown, image, window)
         if colours is not None:
-            sheet.colour_bar(*colours, x=LEFT + len(shown) * (PANEL + GAP) + 0.03, y=y + 0.04, h=tall - 0.08)
+            sheet.colour_bar(*colours, x=LEFT_IN + len(shown) * (PANEL_IN + GAP_IN) + 0.03, y=y + 0.04, h=tall - 0.08)
         if r == 0:
             for panel, k in zip(panels, shown, strict=True):
                 panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
     if rows:
         label_x(panels, scale_of(bundle).unit)
-    draw_forces(sheet.axes(LEFT, height - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
+    draw_forces(sheet.axes(LEFT_IN, height - BELOW_IN - FORCES_IN, wide - GAP_IN, FORCES_IN), bundle, shown)
     heading(sheet, bundle)
     return sheet.figure
 
@@ -267,7 +280,7 @@ def zoom(bundle: Bundle, panels: list["Axes"], image: tuple[int, int], window: W
     frame_axes(panels, f"{label}\ny [{scale.unit}]")
 
 
-ROWS: tuple[tuple[tuple[str, ...], Any], ...] = (
+FIGURE_ROWS: tuple[tuple[tuple[str, ...], Any], ...] = (
     (("/frames/rgb", "/frames/marker_flow"), draw_camera),
     *(((DRAWN_MAPS[name].path,), partial(draw_map, name=name)) for name in ("pressure", "traction", "height")),
 )
@@ -306,7 +319,7 @@ def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
     start = 0
     for kind, group in groupby(bundle.segments):
         stop = start + len(list(group))
-        panel.axvspan(start - 0.5, stop - 0.5, color=SHADES.get(kind, "white"), linewidth=0)
+        panel.axvspan(start - 0.5, stop - 0.5, color=SEGMENT_COLOURS.get(kind, "white"), linewidth=0)
         panel.text((start + stop - 1) / 2, 1.02, kind, transform=panel.get_xaxis_transform(), fontsize=8, ha="center")
         start = stop
     if bundle.frames < bundle.attrs["frames_planned"]:
@@ -319,7 +332,7 @@ def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
         return
     panel.axhline(0, color="#808080", linewidth=0.6)
     frames = np.arange(bundle.frames)
-    for (name, colour), values in zip(LINES.items(), bundle["/frames/force"].T, strict=True):
+    for (name, colour), values in zip(FORCE_COLOURS.items(), bundle["/frames/force"].T, strict=True):
         panel.plot(frames, values, color=colour, marker="o", markersize=2.5 if len(frames) < 80 else 0, label=name)
     panel.plot(shown, np.zeros(len(shown)), "k^", markersize=4, transform=panel.get_xaxis_transform(), clip_on=False)
     panel.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tacgen.export import EXPORTERS
-from tacgen.outputs import NAMES, OUTPUTS
+from tacgen.outputs import OUTPUT_NAMES, OUTPUTS
 from tacgen.recipe import assets
-from tacgen.recipe.indenters import SHAPES
+from tacgen.recipe.indenters import INDENTER_SHAPES
 from tacgen.sensor.yaml_source import at, load, text_of
 
 Entries = dict[str, str]  # name -> description in one line
@@ -48,7 +48,7 @@ def shapes() -> Entries:
             if key != "shape" and (info.is_required() or info.default is not None)
         )
         + f"  ({(kind.__doc__ or '').rstrip('.')})"
-        for name, kind in SHAPES.items()
+        for name, kind in INDENTER_SHAPES.items()
     }
 
 
@@ -56,11 +56,11 @@ def _short(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-KINDS: dict[str, Callable[[], Entries]] = {
+CATALOGUE_KINDS: dict[str, Callable[[], Entries]] = {
     "sensors": sensors,
     "recipes": recipes,
     "objects": objects,
     "shapes": shapes,
-    "outputs": lambda: {name: OUTPUTS[name].text for name in NAMES},
+    "outputs": lambda: {name: OUTPUTS[name].text for name in OUTPUT_NAMES},
     "formats": lambda: EXPORTERS,
 }

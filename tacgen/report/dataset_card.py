@@ -10,13 +10,13 @@ from pathlib import Path
 from tacgen.base import atomic_file, output_file
 from tacgen.base.errors import UserError, printable
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.check import NO_CONTACT
-from tacgen.bundle.dataset import CARDS
+from tacgen.bundle.check import NO_CONTACT_NOTE
+from tacgen.bundle.dataset import CARD_FILES
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
 
-FILE_NAME, OTHER_NAME = CARDS
-MAX_REASONS = 20  # most rows in the table of missing scenes
+CARD_FILE, SECOND_CARD_FILE = CARD_FILES
+MAX_REASON_ROWS = 20  # most rows in the table of missing scenes
 
 
 def write(folder: Path, known: Iterable[Bundle] = ()) -> Path:
@@ -29,11 +29,11 @@ def write(folder: Path, known: Iterable[Bundle] = ()) -> Path:
         UserError: neither is tacgen's.
     """
     content = output_file.signed(text(dataset_summary.look(folder, known)))
-    for path in (folder / FILE_NAME, folder / OTHER_NAME):
+    for path in (folder / CARD_FILE, folder / SECOND_CARD_FILE):
         if not os.path.lexists(path) or output_file.is_unchanged_page(path):
             atomic_file.write(path, content)
             return path
-    raise UserError(f"{folder}: no card written: {FILE_NAME} and {OTHER_NAME} are not as tacgen wrote them")
+    raise UserError(f"{folder}: no card written: {CARD_FILE} and {SECOND_CARD_FILE} are not as tacgen wrote them")
 
 
 def text(seen: Overview, licence: str = "") -> str:
@@ -72,8 +72,10 @@ def _missing(seen: Overview) -> str:
     rows = [(scene.name, scene.state, scene.reason) for scene in seen.scenes if scene.state != "ok"]
     if not rows:
         return ""
-    more = f"\n\nand {len(rows) - MAX_REASONS} more: `tacgen status` names all" if len(rows) > MAX_REASONS else ""
-    return "## Missing scenes\n\n" + _table(("scene", "state", "reason"), rows[:MAX_REASONS]) + more
+    more = (
+        f"\n\nand {len(rows) - MAX_REASON_ROWS} more: `tacgen status` names all" if len(rows) > MAX_REASON_ROWS else ""
+    )
+    return "## Missing scenes\n\n" + _table(("scene", "state", "reason"), rows[:MAX_REASON_ROWS]) + more
 
 
 def _contents(seen: Overview) -> str:
@@ -94,9 +96,10 @@ def _splits(seen: Overview) -> str:
 
 def _limits(seen: Overview) -> str:
     said = (note for bundle in seen.bundles for note in json.loads(bundle.attrs.get("notes", "[]")))
-    notes = Counter(NO_CONTACT if note.startswith(NO_CONTACT) else note for note in said)  # each has its own distance
+    # each has its own distance
+    notes = Counter(NO_CONTACT_NOTE if note.startswith(NO_CONTACT_NOTE) else note for note in said)
     rows = [(str(n), note) for n, note in [*seen.folds, *seen.misfits]]
-    rows += [(str(n), note) for note, n in notes.most_common(MAX_REASONS)]
+    rows += [(str(n), note) for note, n in notes.most_common(MAX_REASON_ROWS)]
     about = "Simulated data; `docs/LIMITS.md` of tacgen lists the known errors."
     return f"## Known limits\n\n{about}" + ("\n\n" + _table(("scenes", "note"), rows) if rows else "")
 

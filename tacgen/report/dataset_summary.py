@@ -18,7 +18,7 @@ from tacgen.recipe import assets
 from tacgen.report.sheet import counted
 from tacgen.sensor.yaml_source import text_of
 
-MAX_VALUES = 12  # named of a varied quantity that is no number
+MAX_NAMED_VALUES = 12  # named of a varied quantity that is no number
 
 
 @dataclass(frozen=True)
@@ -98,16 +98,16 @@ class Overview(run_status.Survey):
         each = [{name: v.max(initial=0.0) for name, v in check.misfits(bundle).items()} for bundle in self.bundles]
         out = {
             name: [largest[name] for largest in each if largest.get(name, 0.0) > check.MAX_MISFIT]
-            for name in check.MISFITS
+            for name in check.MISFIT_ROWS
         }
-        return [(len(v), check.MISFITS[name].format(f"up to {max(v):.2g}")) for name, v in out.items() if v]
+        return [(len(v), check.MISFIT_ROWS[name].format(f"up to {max(v):.2g}")) for name, v in out.items() if v]
 
     @property
     def folds(self) -> list[tuple[int, str]]:
         """Number of scenes with frames that are not unique, and a line that counts these; the same of scenes that end
         before such frames."""
-        marked = [bundle for bundle in self.bundles if check.UNIQUE in bundle]
-        folded = [int((~bundle[check.UNIQUE]).sum()) for bundle in marked if not bundle[check.UNIQUE].all()]
+        marked = [bundle for bundle in self.bundles if check.UNIQUE_PATH in bundle]
+        folded = [int((~bundle[check.UNIQUE_PATH]).sum()) for bundle in marked if not bundle[check.UNIQUE_PATH].all()]
         short = [b for b in self.bundles if b.attrs["status"] == "ok" and b.frames < b.attrs["frames_planned"]]
         ways: tuple[Callable[[Bundle], Sequence[str]], ...] = (
             lambda bundle: [_indenter(bundle)] * bundle.frames,
@@ -115,7 +115,7 @@ class Overview(run_status.Survey):
         )
         shares = "; ".join(_folded(marked, names) for names in ways)
         of_all = f"in {sum(folded)} of {sum(bundle.frames for bundle in marked)} frames"
-        kept = f"{check.FOLDED} {of_all} (`/frames/quality/unique`): {shares}"
+        kept = f"{check.FOLDED_NOTE} {of_all} (`/frames/quality/unique`): {shares}"
         ended = f"ended before the gel folds: {sum(b.frames for b in short)} frames are here"
         return [(len(each), text) for each, text in ((folded, kept), (short, ended)) if each]
 
@@ -138,7 +138,7 @@ def _folded(bundles: Sequence[Bundle], names: Callable[[Bundle], Sequence[str]])
     for bundle in bundles:
         of_frames = names(bundle)
         every.update(of_frames)
-        folded.update(name for name, fine in zip(of_frames, bundle[check.UNIQUE], strict=False) if not fine)
+        folded.update(name for name, fine in zip(of_frames, bundle[check.UNIQUE_PATH], strict=False) if not fine)
     return ", ".join(f"{name} {count} of {every[name]}" for name, count in folded.most_common())
 
 
@@ -187,8 +187,8 @@ def spread(values: Sequence[Any]) -> str:
         ends = [f"{end:.4g}" for end in (min(given), max(given))]
         return " to ".join(dict.fromkeys(ends))
     count = Counter(map(_named, given))
-    shown = [f"{value} ({n})" if len(given) > 1 else value for value, n in count.most_common(MAX_VALUES)]
-    more = [f"and {len(count) - MAX_VALUES} more"] if len(count) > MAX_VALUES else []
+    shown = [f"{value} ({n})" if len(given) > 1 else value for value, n in count.most_common(MAX_NAMED_VALUES)]
+    more = [f"and {len(count) - MAX_NAMED_VALUES} more"] if len(count) > MAX_NAMED_VALUES else []
     return ("; " if any("," in value for value in count) else ", ").join(shown + more)
 
 

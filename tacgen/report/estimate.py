@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 from tacgen.bundle.run_status import Survey
 from tacgen.report.sheet import counted, duration
 
-ONCE = ("start", "compile")  # stages that occur once per process or machine, not in each scene
-SURE = 0.95  # probability for each end of a range, so that 90 % lie within
+ONE_TIME_STAGES = ("start", "compile")  # stages that occur once per process or machine, not in each scene
+RANGE_END_PROBABILITY = 0.95  # probability for each end of a range, so that 90 % lie within
 
 
 class Made(NamedTuple):
@@ -52,8 +52,8 @@ class Cost(NamedTuple):
 
 
 def work(seconds: dict[str, float]) -> float:
-    """Seconds of a scene without the stages in ONCE."""
-    return sum(value for stage, value in seconds.items() if stage not in ONCE)
+    """Seconds of a scene without the stages in ONE_TIME_STAGES."""
+    return sum(value for stage, value in seconds.items() if stage not in ONE_TIME_STAGES)
 
 
 def cost(frames: Sequence[int], made: Sequence[Made]) -> Cost | None:
@@ -74,7 +74,7 @@ def _sum(frames: Sequence[int], known: Sequence[int], costs: Sequence[float]) ->
     from scipy.special import stdtrit  # the quantile of Student's t
 
     variance = sum((cost - rate * f) ** 2 for cost, f in zip(costs, known, strict=True)) / (k - 1)
-    off = float(stdtrit(k - 1, SURE)) * math.sqrt(variance * (n + n * n / k))
+    off = float(stdtrit(k - 1, RANGE_END_PROBABILITY)) * math.sqrt(variance * (n + n * n / k))
     return Range(expected, max(0.0, expected - off), expected + off)
 
 

@@ -41,20 +41,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = np.ndarray
-COLUMNS, PANEL, GAP = 4, 1.85, 0.1  # panels side by side, and inches
-FLAT = 0.42  # height of a section over its width
-WIDE = 3.4  # width of a section over the gel's thickness
-LEAST_STRESS = 1e-6  # [MPa] of the brightest colour: rounding of a gel that nothing touches stays dark
-OFF = 1e-6  # [mm] shift of the section, so that it does not pass through nodes of a symmetric mesh
-STATES = {
+MAX_FIELD_COLUMNS, FIELD_PANEL_IN, FIELD_GAP_IN = 4, 1.85, 0.1  # panels side by side, and inches
+SECTION_HEIGHT_RATIO = 0.42  # height of a section over its width
+SECTION_WIDTH_RATIO = 3.4  # width of a section over the gel's thickness
+MIN_STRESS_SCALE_MPA = 1e-6  # [MPa] of the brightest colour: rounding of a gel that nothing touches stays dark
+SECTION_SHIFT_MM = 1e-6  # [mm] shift of the section, so that it does not pass through nodes of a symmetric mesh
+CONTACT_STATE_STYLES = {
     postprocess.FREE: ("free", "#f2f2f2"),
     postprocess.EDGE: ("edge", "#f0e442"),
     postprocess.STICK: ("stick", "#0072b2"),
 }
-STATES |= {postprocess.SLIP: ("slip", "#d55e00")}
+CONTACT_STATE_STYLES |= {postprocess.SLIP: ("slip", "#d55e00")}
 # a component of stress: its name, function of the tensor (n, 6), colour map, and whether it is signed
 Section = tuple[str, Callable[[Array], Array], str, bool]
-SECTIONS: tuple[Section, ...] = (
+STRESS_SECTIONS: tuple[Section, ...] = (
     ("σ_zz", lambda s: s[:, 2], "RdBu_r", True),
     ("σ_xz", lambda s: s[:, 4], "PuOr_r", True),
     ("von Mises", postprocess.von_mises, "magma", False),
@@ -62,34 +62,39 @@ SECTIONS: tuple[Section, ...] = (
 
 
 def picture(path: Path, field: str, out: Path) -> None:
-    """Draw one of FIELDS into `out`.
+    """Draw one of DRAWN_FIELDS into `out`.
 
     Raises:
         UserError: unknown field, no complete bundle, a bundle without the field, or an unknown image format.
         OSError: `out` cannot be written.
     """
-    if field not in FIELDS:
-        raise UserError(f"{field}: unknown field{suggest(field, FIELDS)}; there are: {', '.join(FIELDS)}")
+    if field not in DRAWN_FIELDS:
+        raise UserError(f"{field}: unknown field{suggest(field, DRAWN_FIELDS)}; there are: {', '.join(DRAWN_FIELDS)}")
     save(figure(only(path), field), out)
 
 
 def figure(bundle: Bundle, field: str) -> "Figure":
     """Up to four frames of a bundle, evenly spread over its trajectory, side by side; one colour bar per row."""
-    needed, output, rows, draw, note = FIELDS[field]
+    needed, output, rows, draw, note = DRAWN_FIELDS[field]
     if missing := [path for path in needed if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
     if not bundle.frames:
         raise UserError(f"{bundle.path}: has no frames to show")
-    shown = np.unique(np.linspace(0, bundle.frames - 1, COLUMNS).round().astype(int))
+    shown = np.unique(np.linspace(0, bundle.frames - 1, MAX_FIELD_COLUMNS).round().astype(int))
     image = image_size(bundle)
-    tall = PANEL * (FLAT if rows > 1 else image[0] / image[1])
-    sheet = Page(0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9)
+    tall = FIELD_PANEL_IN * (SECTION_HEIGHT_RATIO if rows > 1 else image[0] / image[1])
+    sheet = Page(0.9 + len(shown) * (FIELD_PANEL_IN + FIELD_GAP_IN) + 1.0, 0.85 + rows * (tall + FIELD_GAP_IN) + 0.9)
     grid = [
-        [sheet.axes(0.9 + c * (PANEL + GAP), 0.85 + r * (tall + GAP), PANEL, tall) for c in range(len(shown))]
+        [
+            sheet.axes(
+                0.9 + c * (FIELD_PANEL_IN + FIELD_GAP_IN), 0.85 + r * (tall + FIELD_GAP_IN), FIELD_PANEL_IN, tall
+            )
+            for c in range(len(shown))
+        ]
         for r in range(rows)
     ]
     for r, (drawn, label, ticks) in enumerate(draw(bundle, grid, shown, image)):
-        x, y = 0.9 + len(shown) * (PANEL + GAP) + 0.03, 0.9 + r * (tall + GAP)
+        x, y = 0.9 + len(shown) * (FIELD_PANEL_IN + FIELD_GAP_IN) + 0.03, 0.9 + r * (tall + FIELD_GAP_IN)
         bar = sheet.colour_bar(drawn, label, x=x, y=y, h=tall - 0.1)
         if ticks:
             bar.set_yticks(list(ticks), list(ticks.values()))
@@ -119,25 +124,25 @@ def _camera(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) ->
 def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
     from matplotlib.colors import ListedColormap
 
-    colours = ListedColormap([STATES[state][1] for state in sorted(STATES)])
+    colours = ListedColormap([CONTACT_STATE_STYLES[state][1] for state in sorted(CONTACT_STATE_STYLES)])
     for panel, k in zip(grid[0], shown, strict=True):
         drawn = panel.imshow(
             postprocess.contact_state(bundle, int(k)), cmap=colours, vmin=-0.5, vmax=3.5,
             extent=(0, image[1], image[0], 0), interpolation="nearest",
         )  # fmt: skip
     zoom(bundle, grid[0], image, window_of(bundle), "contact")
-    return [(drawn, "", {float(state): name for state, (name, _) in STATES.items()})]
+    return [(drawn, "", {float(state): name for state, (name, _) in CONTACT_STATE_STYLES.items()})]
 
 
 def draw_stress(
-    bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int], sections: tuple[Section, ...] = SECTIONS
+    bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int], sections: tuple[Section, ...] = STRESS_SECTIONS
 ) -> list[Bar]:
     """Draw vertical sections of the deformed gel through the indenter, with the indenter's outline: a row for each of
     `sections`."""
     from matplotlib.collections import LineCollection
 
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
-    half = WIDE / 2 * float(np.ptp(points[:, 2]))
+    half = SECTION_WIDTH_RATIO / 2 * float(np.ptp(points[:, 2]))
     cuts = [section(bundle, int(k), points, cells, layer) for k in shown]
     if missed := [int(k) for k, (corners, _, _) in zip(shown, cuts, strict=True) if not len(corners)]:
         raise UserError(f"{bundle.path}: has no section to draw: in frame {missed[0]} the indenter is beside the gel")
@@ -145,7 +150,7 @@ def draw_stress(
     bars: list[Bar] = []
     for row, (name, what, colours, signed) in zip(grid, sections, strict=True):
         values = [what(stress.reshape(-1, 6)) for _, stress, _ in cuts]
-        top = max(LEAST_STRESS, *(float(np.quantile(np.abs(v), 0.999)) for v in values))
+        top = max(MIN_STRESS_SCALE_MPA, *(float(np.quantile(np.abs(v), 0.999)) for v in values))
         for panel, (corners, _, rim), value, k in zip(row, cuts, values, shown, strict=True):
             x, z = corners.reshape(-1, 2).T
             own = np.arange(len(x)).reshape(-1, 3)
@@ -156,10 +161,14 @@ def draw_stress(
             middle = float(pose[0, 3])
             if indenter is not None:
                 vertices = indenter.vertices @ pose[:3, :3].T + pose[:3, 3]
-                edge = crossed(vertices, indenter.triangles, float(pose[1, 3]) + OFF)
+                edge = crossed(vertices, indenter.triangles, float(pose[1, 3]) + SECTION_SHIFT_MM)
                 panel.add_collection(LineCollection(list(edge), colors="#606060", linewidths=1.2))
             low = points[:, 2].min() - 0.1
-            panel.set(xlim=(middle - half, middle + half), ylim=(low, low + 2 * half * FLAT), facecolor="white")
+            panel.set(
+                xlim=(middle - half, middle + half),
+                ylim=(low, low + 2 * half * SECTION_HEIGHT_RATIO),
+                facecolor="white",
+            )
             panel.set_aspect("equal")
         frame_axes(row, "z [mm]")
         symbol, _, index = name.partition("_")
@@ -172,7 +181,7 @@ def section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -
     """Section through the indenter at frame k: triangles (t, 3, 2), stress (t, 3, 6), layer outlines (l, 2, 2)."""
     nodes, layers, stress = postprocess.stress_by_layer(bundle, k)
     now = (points + bundle.frame("/fields/displacement", k))[nodes]
-    y = float(bundle.frame("/frames/pose", k)[1, 3]) + OFF
+    y = float(bundle.frame("/frames/pose", k)[1, 3]) + SECTION_SHIFT_MM
     pieces = []
     for number in np.unique(layers):
         row, here = np.zeros(len(points), int), np.flatnonzero(layers == number)
@@ -208,37 +217,37 @@ def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
     return Triangles(solid.vertices, solid.triangles)
 
 
-XY = "x to the right, y down in the image, z out of the gel toward the object"
-CAPTIONS = {
-    "height": f"height of the deformed coated face less that of the untouched one; {XY}",
-    "flow": f"motion of the coating's points in the image since the untouched one; {XY}",
+XY_CAPTION = "x to the right, y down in the image, z out of the gel toward the object"
+MAP_CAPTIONS = {
+    "height": f"height of the deformed coated face less that of the untouched one; {XY_CAPTION}",
+    "flow": f"motion of the coating's points in the image since the untouched one; {XY_CAPTION}",
 }
-FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, output, rows, function, caption
-    "camera": (("/frames/rgb",), "rgb", 1, _camera, f"camera images; {XY}"),
+DRAWN_FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, output, rows, function, caption
+    "camera": (("/frames/rgb",), "rgb", 1, _camera, f"camera images; {XY_CAPTION}"),
     "markers": (
         ("/reference/markers", "/frames/marker_flow"), "markers", 1, _camera,
-        f"motion of the markers since the untouched image, magnified as said below; {XY}",
+        f"motion of the markers since the untouched image, magnified as said below; {XY_CAPTION}",
     ),
     "pressure": (
         ("/frames/pressure",), "traction", 1, partial(_map, "pressure"),
-        f"normal to the deformed coated face, per area of it, positive in compression; {XY}",
+        f"normal to the deformed coated face, per area of it, positive in compression; {XY_CAPTION}",
     ),
     "traction": (
         ("/frames/traction",), "traction", 1, partial(_map, "traction"),
-        f"friction on the gel, in the tangent plane of the deformed face, per area of it; {XY}",
+        f"friction on the gel, in the tangent plane of the deformed face, per area of it; {XY_CAPTION}",
     ),
     "slip": (
         ("/frames/pressure", "/frames/contact"), "traction", 1, _slip,
-        f"stick: friction holds; slip: it slides; edge: touched in part; {XY}",
+        f"stick: friction holds; slip: it slides; edge: touched in part; {XY_CAPTION}",
     ),
     "stress": (
-        ("/fields/cauchy_stress", "/fields/nodal_stress"), "stress", len(SECTIONS), draw_stress,
+        ("/fields/cauchy_stress", "/fields/nodal_stress"), "stress", len(STRESS_SECTIONS), draw_stress,
         "Cauchy stress of the deformed gel in the xz plane through the indenter; tension is positive; "
         "x right in the image, z out of the gel",
     ),
 }  # fmt: skip
-FIELDS |= {  # every other map that the viewer has
-    name: (datasets_of(layer), name, 1, partial(_map, name), CAPTIONS.get(name, f"{layer.label}; {XY}"))
+DRAWN_FIELDS |= {  # every other map that the viewer has
+    name: (datasets_of(layer), name, 1, partial(_map, name), MAP_CAPTIONS.get(name, f"{layer.label}; {XY_CAPTION}"))
     for name, layer in DRAWN_MAPS.items()
-    if name not in FIELDS
+    if name not in DRAWN_FIELDS
 }

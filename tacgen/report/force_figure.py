@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = np.ndarray
-HALF_90 = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
-NAMED = 12  # most logs whose names have room
-OURS, THEIRS = "#0072b2", "#d55e00"
+HALF_90_PER_STD = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
+MAX_NAMED_LOGS = 12  # most logs whose names have room
+OUR_COLOUR, THEIR_COLOUR = "#0072b2", "#d55e00"
 
 
 class Series(NamedTuple):
@@ -46,9 +46,11 @@ def draw(series: Sequence[Series], out: Path) -> None:
         theirs = np.linalg.norm(one.theirs[:, :2], axis=1) if one.theirs is not None and one.friction else None
         _curves(side, x, shear, spread, theirs, first)
         if one.theirs is not None:
-            error.fill_between(x, -HALF_90 * std[:, 2], HALF_90 * std[:, 2], color=OURS, alpha=0.3, linewidth=0)
-            error.plot(x, one.ours[:, 2] - one.theirs[:, 2], ".-", color=THEIRS, markersize=3, linewidth=1)
-        if len(series) <= NAMED:
+            error.fill_between(
+                x, -HALF_90_PER_STD * std[:, 2], HALF_90_PER_STD * std[:, 2], color=OUR_COLOUR, alpha=0.3, linewidth=0
+            )
+            error.plot(x, one.ours[:, 2] - one.theirs[:, 2], ".-", color=THEIR_COLOUR, markersize=3, linewidth=1)
+        if len(series) <= MAX_NAMED_LOGS:
             where = (start, 1.03)
             upright = {"transform": normal.get_xaxis_transform(), "rotation": 15}
             normal.text(*where, one.name, fontsize=7, parse_math=False, **upright)
@@ -66,8 +68,12 @@ def draw(series: Sequence[Series], out: Path) -> None:
 
 def _curves(axes: "Axes", x: Array, ours: Array, std: Array, theirs: Array | None, named: bool) -> None:
     """Our force with its 90 % interval, and theirs."""
-    axes.fill_between(x, ours - HALF_90 * std, ours + HALF_90 * std, color=OURS, alpha=0.3, linewidth=0)
-    axes.plot(x, ours, ".-", color=OURS, markersize=3, linewidth=1, label="tacgen, 90 % interval" if named else None)
+    axes.fill_between(
+        x, ours - HALF_90_PER_STD * std, ours + HALF_90_PER_STD * std, color=OUR_COLOUR, alpha=0.3, linewidth=0
+    )
+    axes.plot(
+        x, ours, ".-", color=OUR_COLOUR, markersize=3, linewidth=1, label="tacgen, 90 % interval" if named else None
+    )
     if theirs is not None:
         label = "simulator" if named else None
-        axes.plot(x, theirs, ".--", color=THEIRS, markersize=3, linewidth=1, label=label)
+        axes.plot(x, theirs, ".--", color=THEIR_COLOUR, markersize=3, linewidth=1, label=label)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 Array = np.ndarray
-EDGES = (0.0, 2.0, 5.0, 10.0, 14.0, 20.0, 30.0, 45.0, np.inf)  # [N]
-LEAST = 5  # forces in a range, below which it is joined with the next one
-GROWS = 0.5  # growth of the mean prediction per growth of the mean force, below which it is saturated
+RANGE_EDGES_N = (0.0, 2.0, 5.0, 10.0, 14.0, 20.0, 30.0, 45.0, np.inf)  # [N]
+MIN_RANGE_FORCES = 5  # forces in a range, below which it is joined with the next one
+SATURATION_SLOPE = 0.5  # growth of the mean prediction per growth of the mean force, below which it is saturated
 
 
 def ranges(true: Array, said: Array, floor: float) -> list[dict[str, float]]:
@@ -25,14 +25,15 @@ def ranges(true: Array, said: Array, floor: float) -> list[dict[str, float]]:
         error `guess` of the floor, and the means `true` and `said`, all [N].
     """
     out, first = [], 0
-    for last in range(1, len(EDGES)):
-        here = (true >= EDGES[first]) & (true < EDGES[last])
-        rest = int((true >= EDGES[last]).sum())
-        if (here.sum() < LEAST and rest) or 0 < rest < LEAST or not here.any():
+    for last in range(1, len(RANGE_EDGES_N)):
+        here = (true >= RANGE_EDGES_N[first]) & (true < RANGE_EDGES_N[last])
+        rest = int((true >= RANGE_EDGES_N[last]).sum())
+        if (here.sum() < MIN_RANGE_FORCES and rest) or 0 < rest < MIN_RANGE_FORCES or not here.any():
             continue
-        off, high = said[here] - true[here], EDGES[last]
+        off, high = said[here] - true[here], RANGE_EDGES_N[last]
         out.append({
-            "low": EDGES[first], "high": high if np.isfinite(high) else float(true[here].max()), "n": int(here.sum()),
+            "low": RANGE_EDGES_N[first], "high": high if np.isfinite(high) else float(true[here].max()),
+            "n": int(here.sum()),
             "mae": float(np.abs(off).mean()), "bias": float(off.mean()),
             "guess": float(np.abs(floor - true[here]).mean()),
             "true": float(true[here].mean()), "said": float(said[here].mean()),
@@ -42,12 +43,12 @@ def ranges(true: Array, said: Array, floor: float) -> list[dict[str, float]]:
 
 
 def saturation(found: Sequence[dict[str, float]]) -> float | None:
-    """The mean force [N] of the range from which on predictions grow by less than GROWS of what forces do, up to the
-    last one; None if they grow to the end."""
+    """The mean force [N] of the range from which on predictions grow by less than SATURATION_SLOPE of what forces do,
+    up to the last one; None if they grow to the end."""
     saturated = None
     for before, after in pairwise(found):
         growth = (after["said"] - before["said"]) / (after["true"] - before["true"])
-        if growth >= GROWS:
+        if growth >= SATURATION_SLOPE:
             saturated = None
         elif saturated is None:
             saturated = before["true"]

@@ -19,10 +19,10 @@ from tacgen.report import dataset_summary, html_page, scene_pages, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview
 from tacgen.report.sheet import counted, round_ticks, short
 
-MAX_PICTURES = 48
-PICTURE_WIDTH = 160  # [px]
-MAX_PAIRS = 15  # scatter plots of two varied numbers
-COLOURS = {"ok": "#0072b2", "rejected": "#e69f00", "failed": "#d55e00", "damaged": "#cc79a7"}
+MAX_REPORT_PICTURES = 48
+PICTURE_WIDTH_PX = 160  # [px]
+MAX_SCATTER_PLOTS = 15  # scatter plots of two varied numbers
+STATE_COLOURS = {"ok": "#0072b2", "rejected": "#e69f00", "failed": "#d55e00", "damaged": "#cc79a7"}
 OTHER_COLOUR = "#999999"  # of scenes at work or waiting
 
 
@@ -85,14 +85,14 @@ def _causes(scenes: Sequence[SceneOverview]) -> str:
 def _coverage(seen: Overview) -> str:
     """A histogram of each varied number, and scatter plots of pairs, one point per scene, coloured by its state."""
     numbers = {p: v for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
-    colours = [COLOURS.get(scene.state, OTHER_COLOUR) for scene in seen.scenes]
+    colours = [STATE_COLOURS.get(scene.state, OTHER_COLOUR) for scene in seen.scenes]
     names = short(seen.varied)
     rows = [(path, dataset_summary.spread(values)) for path, values in seen.varied.items()]
     bars = [_histogram(names[path], np.array(values, float)) for path, values in numbers.items()]
     plots = []
-    for (a, x), (b, y) in list(combinations(numbers.items(), 2))[:MAX_PAIRS]:
+    for (a, x), (b, y) in list(combinations(numbers.items(), 2))[:MAX_SCATTER_PLOTS]:
         plots.append(_scatter(names[a], np.array(x, float), names[b], np.array(y, float), colours))
-    key = " ".join(f'<span style="color:{colour}">&#9679; {state}</span>' for state, colour in COLOURS.items())
+    key = " ".join(f'<span style="color:{colour}">&#9679; {state}</span>' for state, colour in STATE_COLOURS.items())
     shown = _table(("varied", "values"), rows) + f"<p>{key}</p>" + "".join(bars) + f"<div>{''.join(plots)}</div>"
     return shown if rows else ""
 
@@ -114,8 +114,8 @@ def _seconds(seen: Overview) -> str:
 def pictured(seen: Overview) -> list[SceneOverview]:
     """Scenes with frames, evenly spread over the plan."""
     good = [scene for scene in seen.scenes if scene.bundle is not None and scene.bundle.frames]
-    step = max(1.0, len(good) / MAX_PICTURES)
-    return [good[int(i * step)] for i in range(min(len(good), MAX_PICTURES))]
+    step = max(1.0, len(good) / MAX_REPORT_PICTURES)
+    return [good[int(i * step)] for i in range(min(len(good), MAX_REPORT_PICTURES))]
 
 
 def _pictures(seen: Overview, links: Mapping[str, str]) -> str:
@@ -129,10 +129,10 @@ def _pictures(seen: Overview, links: Mapping[str, str]) -> str:
             values = "<br>".join(escape(f"{names[p]} {dataset_summary.spread([v])}") for p, v in scene.values.items())
             force = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
             marks, error = viewer.marks(scene.bundle), force_error(scene.bundle)
-            if error and viewer.LARGEST in marks:
-                force = f"{force} {error.text(marks[viewer.LARGEST])}"
+            if error and viewer.LARGEST_FORCE_LABEL in marks:
+                force = f"{force} {error.text(marks[viewer.LARGEST_FORCE_LABEL])}"
             if link := links.get(scene_pages.name_of(scene.bundle)):
-                picture = f'<a href="{link}#frame={marks.get(viewer.LARGEST, 0)}">{picture}</a>'
+                picture = f'<a href="{link}#frame={marks.get(viewer.LARGEST_FORCE_LABEL, 0)}">{picture}</a>'
             shown.append(
                 f"<figure>{picture}<b>{escape(scene.name)}</b>{_finger(scene.bundle)} {force}<br>{values}</figure>"
             )
@@ -163,7 +163,7 @@ def _picture(bundle: Bundle) -> str:
         pixels = (255 * np.clip(pressure / max(float(pressure.max()), 1e-9), 0, 1)).astype(np.uint8)
     else:
         return ""
-    content = base64.b64encode(encoded(pixels, "JPEG", PICTURE_WIDTH, quality=85)).decode()
+    content = base64.b64encode(encoded(pixels, "JPEG", PICTURE_WIDTH_PX, quality=85)).decode()
     return f'<img alt="" src="data:image/jpeg;base64,{content}">'
 
 

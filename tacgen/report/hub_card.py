@@ -27,11 +27,17 @@ from tacgen.report import dataset_card, dataset_summary
 from tacgen.report.dataset_summary import Overview
 from tacgen.sensor.yaml_source import dumped
 
-SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
-LARGEST = "10M<n<100M"
-JOINED = ("lerobot", "webdataset", "zarr")  # formats in which a contact on several sensors is one row
-KINDS = {**EXPORTERS, "pack": "bundles in HDF5 shards and their index, for `tacgen.torch.TactileDataset` or h5py"}
-FILES = {  # of each split, in the formats that the hub's library reads
+SIZE_CATEGORIES = (
+    (10**3, "n<1K"),
+    (10**4, "1K<n<10K"),
+    (10**5, "10K<n<100K"),
+    (10**6, "100K<n<1M"),
+    (10**7, "1M<n<10M"),
+)
+LARGEST_SIZE_CATEGORY = "10M<n<100M"
+JOINED_FORMATS = ("lerobot", "webdataset", "zarr")  # formats in which a contact on several sensors is one row
+HUB_FORMATS = {**EXPORTERS, "pack": "bundles in HDF5 shards and their index, for `tacgen.torch.TactileDataset` or h5py"}
+SPLIT_FILE_PATTERNS = {  # of each split, in the formats that the hub's library reads
     "feelanyforce": "TacForce_{}_set.csv",
     "webdataset": "{}-*.tar",
 }
@@ -64,14 +70,17 @@ def text(
     licence: str | None = None,
     more: str = "",
 ) -> str:
-    """The page of a folder that holds the bundles in a format of KINDS and was made by a command.
+    """The page of a folder that holds the bundles in a format of HUB_FORMATS and was made by a command.
 
     Args:
         seen: the overview of the data set.
         more: a further part of the text, in Markdown.
     """
     head = dumped(header(kind, bundles, folder, command, licence or "unknown"))
-    made = f"## Files\n\n`{kind}`: {KINDS[kind].partition(' (tacgen[')[0]}. Made by\n\n```sh\n{printable(command)}\n```"
+    made = (
+        f"## Files\n\n`{kind}`: {HUB_FORMATS[kind].partition(' (tacgen[')[0]}. Made "
+        f"by\n\n```sh\n{printable(command)}\n```"
+    )
     recipe = json.dumps(bundles[0].recipe, indent=1).replace("`", "\\u0060")
     parts = [dataset_card.text(seen, licence or "").rstrip("\n"), made, more.strip("\n")]
     parts.append(f"## Recipe of the first scene\n\n```json\n{recipe}\n```")
@@ -89,7 +98,7 @@ def header(kind: str, bundles: Sequence[Bundle], folder: Path, command: str, lic
         "license": licence,
         "pretty_name": ", ".join(names),
         "task_categories": ["robotics"],
-        "size_categories": [next((name for most, name in SIZES if total < most), LARGEST)],
+        "size_categories": [next((name for most, name in SIZE_CATEGORIES if total < most), LARGEST_SIZE_CATEGORY)],
         "tags": ["tactile", "simulation", *sensors, *(["LeRobot"] if kind == "lerobot" else [])],
     }
     splits = [{"name": n, "num_bytes": round(size * k / total), "num_examples": k} for n, k in frames.items()]
@@ -116,7 +125,7 @@ def header(kind: str, bundles: Sequence[Bundle], folder: Path, command: str, lic
 def _frames(kind: str, bundles: Sequence[Bundle]) -> dict[str, int]:
     """Number of rows of each split that has any."""
     rows = [(split, bundle.frames) for split, bundle in zip(assigned(bundles), bundles, strict=True)]
-    if kind in JOINED and len(contacts(bundles)) < len(bundles):
+    if kind in JOINED_FORMATS and len(contacts(bundles)) < len(bundles):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LeftOut)  # the export has told it
             rows = [(episode.split, episode.frames) for episode in episodes(bundles)]
@@ -128,7 +137,11 @@ def _files(kind: str, folder: Path, splits: Sequence[str]) -> list[dict[str, Any
     """Where the files of each split are; empty if the hub's library cannot read them."""
     if kind == "lerobot":
         return [{"split": name, "path": paths} for name, paths in lerobot.split_files(folder).items()]
-    return [{"split": name, "path": FILES[kind].format(name)} for name in splits] if kind in FILES else []
+    return (
+        [{"split": name, "path": SPLIT_FILE_PATTERNS[kind].format(name)} for name in splits]
+        if kind in SPLIT_FILE_PATTERNS
+        else []
+    )
 
 
 def _columns(folder: Path) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ from tacgen.mechanics.tet_mesh import TET_FACES
 
 Array = np.ndarray
 # six tetrahedra of a hex, around its diagonal 0-6; of a quadratic tetrahedron, its corners
-TETS = {8: [[0, 1, 2, 6], [0, 1, 5, 6], [0, 4, 5, 6], [0, 4, 7, 6], [0, 3, 7, 6], [0, 3, 2, 6]], 4: [[0, 1, 2, 3]]}
+CELL_TETS = {8: [[0, 1, 2, 6], [0, 1, 5, 6], [0, 4, 5, 6], [0, 4, 7, 6], [0, 3, 7, 6], [0, 3, 2, 6]], 4: [[0, 1, 2, 3]]}
 
 HEX_FACES = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
 
@@ -25,7 +25,7 @@ def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Ar
     Cells are divided into tetrahedra with straight edges. Returns triangles (t, 3, 2) in x and z, and values at their
     corners (t, 3, c), sorted by area: large triangles are drawn last and cover slivers.
     """
-    corners = TETS[8 if cells.shape[1] == 8 else 4]
+    corners = CELL_TETS[8 if cells.shape[1] == 8 else 4]
     tets = np.concatenate([cells[:, four] for four in corners])
     side = points[tets, 1] - y
     count = (side > 0).sum(1)

@@ -14,8 +14,8 @@ from tacgen.report import dataset_summary, html_page, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview, spread
 from tacgen.report.sheet import counted, short
 
-MAX_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: https:"
+MAX_SCENE_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
+PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: https:"
 
 
 def write_pages(bundles: Iterable[Bundle], page: Path, *, in_3d: bool) -> dict[str, str]:
@@ -65,10 +65,10 @@ def write(folder: Path, out: Path, real_out: Path) -> int:
 
 
 def _chosen(scenes: Sequence[SceneOverview]) -> list[SceneOverview]:
-    """At most MAX_PAGES scenes in their order: the rejected ones, then others evenly spread."""
-    odd = [scene for scene in scenes if scene.state != "ok"][:MAX_PAGES]
+    """At most MAX_SCENE_PAGES scenes in their order: the rejected ones, then others evenly spread."""
+    odd = [scene for scene in scenes if scene.state != "ok"][:MAX_SCENE_PAGES]
     good = [scene for scene in scenes if scene.state == "ok"]
-    count = min(len(good), MAX_PAGES - len(odd))
+    count = min(len(good), MAX_SCENE_PAGES - len(odd))
     kept = {id(scene) for scene in [*odd, *(good[i * len(good) // count] for i in range(count))]}
     return [scene for scene in scenes if id(scene) in kept]
 
@@ -79,7 +79,9 @@ def _page(seen: Overview, scenes: Sequence[SceneOverview], links: dict[str, str]
     items = "".join(_item(i, scene, links, names) for i, scene in enumerate(scenes))
     states = "".join(f"<option>{state}</option>" for state in dict.fromkeys(scene.state for scene in scenes))
     more = (
-        f"<p>{counted(left, 'scene')} without frames, or left out: at most {MAX_PAGES} have pages.</p>" if left else ""
+        f"<p>{counted(left, 'scene')} without frames, or left out: at most {MAX_SCENE_PAGES} have pages.</p>"
+        if left
+        else ""
     )
     filters = (
         '<label>words <input id=words type=search placeholder="sphere digit"></label>'
@@ -90,7 +92,7 @@ def _page(seen: Overview, scenes: Sequence[SceneOverview], links: dict[str, str]
     )
     body = f"<nav><h1>{title}</h1>{filters}{more}<ol>{items}</ol></nav><iframe name=scene title=scene></iframe>"
     body += f"<script>{html_page.asset('scenes.js')}</script>"
-    return html_page.page(title, html_page.asset("scenes.css"), body, POLICY)
+    return html_page.page(title, html_page.asset("scenes.css"), body, PAGE_POLICY)
 
 
 def _item(index: int, scene: SceneOverview, links: dict[str, str], names: dict[str, str]) -> str:
@@ -105,7 +107,7 @@ def _item(index: int, scene: SceneOverview, links: dict[str, str], names: dict[s
     )
     error = force_error(bundle)
     peak = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
-    if error and (largest := viewer.marks(bundle).get(viewer.LARGEST)) is not None:
+    if error and (largest := viewer.marks(bundle).get(viewer.LARGEST_FORCE_LABEL)) is not None:
         peak = f"{peak} {error.text(largest)}"
     why = f"<div class=why>{escape(scene.reason)}</div>" if scene.reason else ""
     words = f"{scene.name} {about} {values} {scene.reason}".lower()

@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from tacgen.sensor.base_model import NOWHERE, Part
+from tacgen.sensor.base_model import NO_SOURCE, Part
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import KeyPath, format_path
 
 # Ends of keys, longest first, and their units
-UNITS = {"mm_per_px": "mm/px", "_per_mm": "1/mm", "_mpa": "MPa", "_deg": "deg", "_mm": "mm"}
-UNITS |= {"_px": "px", "_s": "s"}
+KEY_UNITS = {"mm_per_px": "mm/px", "_per_mm": "1/mm", "_mpa": "MPa", "_deg": "deg", "_mm": "mm"}
+KEY_UNITS |= {"_px": "px", "_s": "s"}
 
 
 class Value(NamedTuple):
@@ -24,7 +24,7 @@ class Value(NamedTuple):
 
 def unit_of(key: str) -> str:
     """The unit that a key names at its end, `mm` of width_mm; "" where it names none."""
-    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
+    return next((unit for end, unit in KEY_UNITS.items() if key.endswith(end)), "")
 
 
 def values(part: Part, path: KeyPath = ()) -> Iterator[Value]:
@@ -59,7 +59,7 @@ def as_text(sensor: Sensor) -> str:
     for row in rows:
         where = row.path[:-1]
         if where != last and where:
-            said = row.source or NOWHERE
+            said = row.source or NO_SOURCE
             lines += ["", f"{format_path(where)}: {' '.join(said.split())}" if row.source else format_path(where)]
         last = where
         text = f"{_text(row.value)} {row.unit}".rstrip()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LEAST = 0.01  # [inch]
+MIN_IMAGE_HEIGHT_IN = 0.01  # [inch]
 
 
 def round_ticks(low: float, high: float, most: int = 6) -> list[float]:
@@ -27,8 +27,10 @@ class Page:
         self.figure = Figure(figsize=(width, height))
 
     def axes(self, x: float, y: float, w: float, h: float) -> "Axes":
-        """New axes of size (w, h) whose upper left corner is at (x, y) [inch]; of a thin image at least LEAST high."""
-        h = max(h, LEAST)
+        """New axes of size (w, h) whose upper left corner is at (x, y) [inch]; of a thin image at least
+        MIN_IMAGE_HEIGHT_IN high.
+        """
+        h = max(h, MIN_IMAGE_HEIGHT_IN)
         place = (x / self.width, 1 - (y + h) / self.height, w / self.width, h / self.height)
         return self.figure.add_axes(place)
 

@@ -18,14 +18,14 @@ from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text, sensor_text
-from tacgen.bundle.check import UNIQUE
+from tacgen.bundle.check import UNIQUE_PATH
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.fem.elements import triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report import html_page
-from tacgen.report.bundle_figure import LINES, image_size, magnification, only, scale_of
-from tacgen.report.field_figure import FIELDS, SECTIONS, WIDE, indenter_surface, section
+from tacgen.report.bundle_figure import FORCE_COLOURS, image_size, magnification, only, scale_of
+from tacgen.report.field_figure import DRAWN_FIELDS, SECTION_WIDTH_RATIO, STRESS_SECTIONS, indenter_surface, section
 from tacgen.report.layers import datasets_of, has_arrows, limits, map_of
 from tacgen.report.plane_cut import boundary
 
@@ -33,16 +33,17 @@ if TYPE_CHECKING:
     from tacgen.geometry.surface_nets import Triangles
 
 Array = np.ndarray
-NEEDS = {
+LAYER_DATASETS = {
     "camera": ("/frames/rgb",),
     "markers": ("/reference/markers", "/frames/marker_flow"),  # arrows on the camera images
     **{name: datasets_of(layer) for name, layer in DRAWN_MAPS.items()},
-    "stress": ("/mesh/points", "/frames/pose", *FIELDS["stress"][0]),
+    "stress": ("/mesh/points", "/frames/pose", *DRAWN_FIELDS["stress"][0]),
 }
-FRAMES = 60  # most frames of a page, evenly spread over a longer scene; a frame with all layers takes about 0.2 MB
-LARGEST = "largest force"
-ARROWS = 24  # arrows across a map
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+# most frames of a page, evenly spread over a longer scene; a frame with all layers takes about 0.2 MB
+MAX_VIEWER_FRAMES = 60
+LARGEST_FORCE_LABEL = "largest force"
+ARROWS_ACROSS = 24  # arrows across a map
+VIEWER_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 def write(paths: Sequence[Path], out: Path) -> None:
@@ -62,7 +63,7 @@ def write(paths: Sequence[Path], out: Path) -> None:
 def page(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
     """The whole page of one or two bundles with frames, with or without the gel in 3D."""
     title = escape(" | ".join(_name(bundle) for bundle in bundles))
-    return html_page.page(title, html_page.asset("viewer.css"), block(bundles, in_3d=in_3d), POLICY)
+    return html_page.page(title, html_page.asset("viewer.css"), block(bundles, in_3d=in_3d), VIEWER_POLICY)
 
 
 def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
@@ -70,23 +71,23 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
 
     Two bundles share the scales of colours and arrows. Raises UserError: a mesh that cannot be drawn.
     """
-    wanted = {name: needs for name, needs in NEEDS.items() if in_3d or name != "stress"}
+    wanted = {name: needs for name, needs in LAYER_DATASETS.items() if in_3d or name != "stress"}
     names = [name for name, needs in wanted.items() if any(_all_in(bundle, needs) for bundle in bundles)]
     scales = {name: _scale(name, bundles) for name in names if name in DRAWN_MAPS}
-    solids = [_solid(bundle) if in_3d and _all_in(bundle, NEEDS["stress"]) else None for bundle in bundles]
+    solids = [_solid(bundle) if in_3d and _all_in(bundle, LAYER_DATASETS["stress"]) else None for bundle in bundles]
     parts = []
-    for i, (label, _, colours, signed) in enumerate(SECTIONS if any(solids) else ()):
+    for i, (label, _, colours, signed) in enumerate(STRESS_SECTIONS if any(solids) else ()):
         top = max(float(np.quantile(np.abs(solid.all_values(i)), 0.999)) for solid in solids if solid) or 1e-3
         parts.append({"low": -top if signed else 0.0, "high": top, "label": f"{label} [MPa]", "colours": colours})
     tables = {scale["colours"] for scale in (*scales.values(), *parts)}
-    times = min((magnification(bundle) for bundle in bundles if _all_in(bundle, NEEDS["markers"])), default=1)
+    times = min((magnification(bundle) for bundle in bundles if _all_in(bundle, LAYER_DATASETS["markers"])), default=1)
     data = {
         "layers": names,
         "scales": scales,
         "parts": parts,
         "magnified": times,
         "colours": {name: _base64(_table(name)) for name in sorted(tables)},
-        "lines": list(LINES.values()),
+        "lines": list(FORCE_COLOURS.values()),
         "bundles": [
             _about(bundle) | {"layers": _layers(bundle, scales, times), "solid": solid and solid.packed(parts)}
             for bundle, solid in zip(bundles, solids, strict=True)
@@ -99,7 +100,7 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
 
 def shown(bundle: Bundle) -> Array:
     """The numbers of the frames that the page shows: evenly spread, and those of `marks`."""
-    spread = np.linspace(0, bundle.frames - 1, FRAMES).round().astype(int)
+    spread = np.linspace(0, bundle.frames - 1, MAX_VIEWER_FRAMES).round().astype(int)
     return np.unique([*spread, *marks(bundle).values()])
 
 
@@ -108,8 +109,8 @@ def marks(bundle: Bundle) -> dict[str, int]:
     the gel, and the last before the scene was rejected."""
     found: dict[str, int] = {}
     if "/frames/force" in bundle:
-        found[LARGEST] = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax())
-    if UNIQUE in bundle and not (unique := bundle[UNIQUE]).all():
+        found[LARGEST_FORCE_LABEL] = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax())
+    if UNIQUE_PATH in bundle and not (unique := bundle[UNIQUE_PATH]).all():
         found["first fold or snap"] = int((~unique).argmax())
     if bundle.attrs["status"] != "ok":
         found["last before rejection"] = bundle.frames - 1
@@ -156,10 +157,10 @@ def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any
     """Images and arrows of every layer except the 3D view."""
     maps: dict[str, Any] = {}
     frames, (height, width) = shown(bundle), image_size(bundle)
-    if _all_in(bundle, NEEDS["camera"]):
+    if _all_in(bundle, LAYER_DATASETS["camera"]):
         pictures = [_picture(bundle.frame("/frames/rgb", int(k)), "WEBP") for k in frames]
         maps["camera"] = {"kind": "webp", "pictures": pictures}
-    if _all_in(bundle, NEEDS["markers"]):
+    if _all_in(bundle, LAYER_DATASETS["markers"]):
         at, by = bundle["/reference/markers"] / (width, height), times * bundle["/frames/marker_flow"][frames] / width
         maps["markers"] = {"arrows": {"at": _numbers(at), "by": _numbers(by)}}
     for name, scale in scales.items():
@@ -170,17 +171,19 @@ def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any
         maps[name] = {"kind": "png", "pictures": [_picture(grey, "PNG") for grey in _levels(drawn, scale)]}
         if has_arrows(layer, bundle):
             h, w = drawn.shape[1:]
-            step = max(1, round(w / ARROWS))
+            step = max(1, round(w / ARROWS_ACROSS))
             rows, columns = np.arange(step // 2, h, step), np.arange(step // 2, w, step)
             at = np.stack(np.meshgrid((columns + 0.5) / w, (rows + 0.5) / h), -1).reshape(-1, 2)
             by = bundle[layer.path][frames][:, rows[:, None], columns].reshape(len(frames), -1, 2)
-            by = by / scale["high"] * 1.3 / ARROWS
+            by = by / scale["high"] * 1.3 / ARROWS_ACROSS
             maps[name]["arrows"] = {"at": _numbers(at), "by": _numbers(by)}
     return maps
 
 
 class _Solid(NamedTuple):
-    """The gel's boundary over the frames, and sections through the indenter, with the values of SECTIONS in order."""
+    """The gel's boundary over the frames, and sections through the indenter, with the values of STRESS_SECTIONS in
+    order.
+    """
 
     faces: Array  # (t, 3) numbers of boundary nodes
     rims: Array  # (l, 2), edges of the mesh
@@ -226,12 +229,12 @@ def _solid(bundle: Bundle) -> _Solid:
     for k in (int(frame) for frame in shown(bundle)):
         moved.append((points + bundle.frame("/fields/displacement", k))[nodes])
         stress = bundle.frame("/fields/nodal_stress", k)[nodes]
-        values.append([what(stress) for _, what, _, _ in SECTIONS])
+        values.append([what(stress) for _, what, _, _ in STRESS_SECTIONS])
         flat, within, _ = section(bundle, k, points, cells, layer)
         y = float(bundle.frame("/frames/pose", k)[1, 3])
         corners = np.insert(flat, 1, y, axis=-1)
-        cuts.append((corners, np.stack([what(within.reshape(-1, 6)) for _, what, _, _ in SECTIONS]), y))
-    size = WIDE * float(np.ptp(points[:, 2]))
+        cuts.append((corners, np.stack([what(within.reshape(-1, 6)) for _, what, _, _ in STRESS_SECTIONS]), y))
+    size = SECTION_WIDTH_RATIO * float(np.ptp(points[:, 2]))
     poses = bundle["/frames/pose"][shown(bundle)]
     return _Solid(
         triangles(facets), rims, np.stack(moved), np.stack(values, 1), cuts, indenter_surface(bundle, size), poses

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticUndefined
 
-from tacgen.sensor.yaml_source import TAGS
+from tacgen.sensor.yaml_source import CHOICE_KEYS
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -18,7 +18,7 @@ Three = tuple[Item, Item, Item]
 FilePath = Annotated[str, Field(min_length=1)]  # relative to the folder of the file in which it is written
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # hash that the named file must have; stored in bundles
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-NOWHERE = "not stated"  # the default `source` of a part: nobody has said where its numbers come from
+NO_SOURCE = "not stated"  # the default `source` of a part: nobody has said where its numbers come from
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}  # in a JSON schema
 
 
@@ -41,7 +41,7 @@ Shares = Annotated[Three[Fraction], BeforeValidator(_as_rgb, json_schema_input_t
 
 def _with_tag(schema: dict[str, Any], kind: type[BaseModel]) -> None:
     """Make the key that chooses a mapping's kind required in a JSON schema: Python needs none, the class gives it."""
-    for tag, usual in TAGS.items():
+    for tag, usual in CHOICE_KEYS.items():
         if tag in kind.model_fields and kind.model_fields[tag].get_default() not in (usual, PydanticUndefined):
             schema["required"] = [tag, *schema.get("required", [])]
 

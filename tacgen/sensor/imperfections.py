@@ -5,10 +5,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from tacgen.sensor.base_model import NOWHERE, Fraction, Part, Positive, Vec2
+from tacgen.sensor.base_model import NO_SOURCE, Fraction, Part, Positive, Vec2
 
-NOISE = 2  # purpose of random numbers of a scene; a new purpose gets a new number, and sampling has 1
-DRIFT = 3  # as NOISE
+NOISE_STREAM = 2  # purpose of random numbers of a scene; a new purpose gets a new number, and sampling has 1
+DRIFT_STREAM = 3  # as NOISE_STREAM
 Seed = Annotated[int, Field(ge=0, le=999_999)]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Contrast = Annotated[float, Field(ge=0, le=0.3)]
@@ -25,7 +25,7 @@ class Grain(Part):
     """Correlation length: the correlation of two places falls as exp(-distance / length)."""
     seed: Seed = 0
     """Number of the random pattern."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Marks(Part):
@@ -48,7 +48,7 @@ class Marks(Part):
     """Share of the specks that add as much light as dark ones take away."""
     seed: Seed = 0
     """Number of the random places, sizes and depths."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Wear(Part):
@@ -60,7 +60,7 @@ class Wear(Part):
     """Standard deviation of the Gaussian."""
     center_mm: Vec2 = (0.0, 0.0)
     """Middle of the worn area at rest."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Drift(Part):
@@ -71,4 +71,4 @@ class Drift(Part):
     """Standard deviation of the relative change."""
     frames: Positive
     """Correlation length in frames: the correlation of two frames falls as exp(-(difference / frames)^2 / 2)."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from tacgen.sensor.base_model import NOWHERE, Index, NotNegative, Part, Positive, Shares, as_tuple, exactly_one
+from tacgen.sensor.base_model import NO_SOURCE, Index, NotNegative, Part, Positive, Shares, as_tuple, exactly_one
 
 if TYPE_CHECKING:
     from tacgen.fem.materials import Law
@@ -23,7 +23,7 @@ class Scattering(Part):
     """Single-scattering albedo: scattering over extinction."""
     forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     """Mean cosine g of the scattering angle."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class LayerBase(Part):
@@ -39,7 +39,7 @@ class LayerBase(Part):
     """Clear if absent."""
     opaque: bool = False
     """If true, the coating is on the inner side of this layer."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
     @property
     def terms(self) -> tuple[tuple[float, float], ...]:

@@ -5,9 +5,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from tacgen.sensor.base_model import NOWHERE, Fraction, Part, Positive, Vec2
+from tacgen.sensor.base_model import NO_SOURCE, Fraction, Part, Positive, Vec2
 
-MOST = 10_000  # dots of a sensor
+MAX_DOTS = 10_000  # dots of a sensor
 
 
 class Motion(Part):
@@ -19,7 +19,7 @@ class Motion(Part):
     """Largest drag of the contact's centre [mm], and decay [1/mm^2]."""
     twist: tuple[Positive, Positive]
     """Largest rotation [deg], and decay [1/mm^2]."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class MarkersBase(Part):
@@ -33,7 +33,7 @@ class MarkersBase(Part):
     """From the pad's middle to the lattice's, along x and y; none if absent."""
     motion: Motion | None = None
     """Constants of the analytic motion; without them `markers: {method: analytic}` is refused."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
     @property
     def count(self) -> int:
@@ -47,8 +47,8 @@ class MarkersBase(Part):
 
     @model_validator(mode="after")
     def _few(self) -> Self:
-        if self.count > MOST:
-            raise ValueError(f"must be at most {MOST} dots (got {self.count})")
+        if self.count > MAX_DOTS:
+            raise ValueError(f"must be at most {MAX_DOTS} dots (got {self.count})")
         return self
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from tacgen.sensor.base_model import (
-    NOWHERE,
+    NO_SOURCE,
     Axis,
     FilePath,
     Fraction,
@@ -45,7 +45,7 @@ class StadiumEnd(Part):
     """The outline's kind."""
     end: Literal["-y", "+y"]
     """Which end in y is round."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Dome(Part):
@@ -58,7 +58,7 @@ class Dome(Part):
     """Radius of curvature along x."""
     radius_y_mm: Positive
     """Radius of curvature along y."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Solid(Part):
@@ -78,7 +78,7 @@ class Solid(Part):
     """Coated: normals within this angle of z."""
     sha256: Sha256 | None = None
     """Hash that the file must have."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Gel(Part):
@@ -101,7 +101,7 @@ class Gel(Part):
     """A solid of any shape, instead of corners, outline and dome."""
     layers: Annotated[tuple[Layer, ...], Field(min_length=1)]
     """A list, from the bonded base outward to the coated face."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
     @property
     def clear_layers(self) -> "tuple[Layer, ...]":
@@ -144,7 +144,7 @@ class Plate(Part):
     """Thickness, from the gel to the air below."""
     refractive_index: Index
     """Refractive index of the plate."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Coating(Part):
@@ -162,7 +162,7 @@ class Coating(Part):
     """Dust and scratches; none if absent."""
     wear: Wear | None = None
     """Wear in the middle; none if absent."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Walls(Part):
@@ -172,7 +172,7 @@ class Walls(Part):
     """Diffuse reflectance."""
     margin_mm: NotNegative = 0.0
     """Distance from the pad's outline; plate and gel fill the space between."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Led(Part):
@@ -197,7 +197,7 @@ class Led(Part):
     """Radiance ~ cos^lobe(angle to the normal); 0: Lambertian."""
     see_through: bool = False
     """A source that blocks no light: it stands for light that enters there, not for a body."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
     @property
     def light(self) -> Vec3:
@@ -215,7 +215,7 @@ class Noise(Part):
     """Read noise: standard deviation in the dark, relative to full scale."""
     strength: NotNegative = 1.0
     """Factor on the standard deviation of the total noise."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
 
 class Camera(Part):
@@ -257,7 +257,7 @@ class Camera(Part):
     """Slow change of the gain over a scene; none if absent."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     """Pictures are compressed as JPEG of this quality, as in a camera that streams MJPEG; not if absent."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
     @property
     def aspect(self) -> float:
@@ -280,7 +280,7 @@ class ThicknessResponse(Part):
     """Factor on red, green, blue at each change."""
     spread_mm: Annotated[float, Field(ge=0, le=5)] = 0.0
     """How far this light wanders sideways in the gel: the gain is averaged by a Gaussian of this standard deviation."""
-    source: str = NOWHERE
+    source: str = NO_SOURCE
 
     @model_validator(mode="after")
     def _table(self) -> Self:
@@ -289,7 +289,7 @@ class ThicknessResponse(Part):
         return self
 
 
-LIGHTS = ("plate", "coating", "walls", "leds")
+LIGHT_FIELDS = ("plate", "coating", "walls", "leds")
 
 
 class Sensor(Part):
@@ -330,7 +330,7 @@ class Sensor(Part):
     @property
     def lit(self) -> bool:
         """Whether plate, coating, walls and LEDs are all given, as images need them."""
-        return all(getattr(self, name) is not None for name in LIGHTS)
+        return all(getattr(self, name) is not None for name in LIGHT_FIELDS)
 
 
 class LitSensor(Sensor):

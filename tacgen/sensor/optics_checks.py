@@ -12,8 +12,8 @@ from tacgen.sensor.validation_messages import Issue
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
 
-TOLERANCE = 1e-6  # of distances [mm] and of the sine of the angle between two directions [-]
-MAX_RAY_ANGLE = 80.0  # between a camera's ray and the plate's normal [deg]
+GEOMETRY_TOL = 1e-6  # of distances [mm] and of the sine of the angle between two directions [-]
+MAX_RAY_ANGLE_DEG = 80.0  # between a camera's ray and the plate's normal [deg]
 
 
 def problems(sensor: LitSensor) -> Iterator[Issue]:
@@ -24,7 +24,7 @@ def problems(sensor: LitSensor) -> Iterator[Issue]:
         place = f"({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
         text = f"the camera's axis meets the coating outside the pad, at {place}: nearer to 0, 0"
         yield Issue(("camera", "center_mm"), text)
-    if _steepest(sensor) > MAX_RAY_ANGLE:
+    if _steepest(sensor) > MAX_RAY_ANGLE_DEG:
         text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
         text += ": less tilt, more distance_mm or a smaller picture"
         yield Issue(("camera", "tilt_deg"), text)
@@ -41,7 +41,7 @@ def problems(sensor: LitSensor) -> Iterator[Issue]:
 def _singular(matrix: tuple[Vec3, Vec3, Vec3]) -> bool:
     import numpy as np
 
-    return bool(abs(np.linalg.det(matrix)) < TOLERANCE)
+    return bool(abs(np.linalg.det(matrix)) < GEOMETRY_TOL)
 
 
 def _layers(sensor: LitSensor) -> Iterator[Issue]:
@@ -130,7 +130,7 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
     import numpy as np
 
     normal, along = np.array(led.normal), np.cross(led.up, led.normal)
-    if np.linalg.norm(along) <= TOLERANCE * np.linalg.norm(led.up) * np.linalg.norm(normal):
+    if np.linalg.norm(along) <= GEOMETRY_TOL * np.linalg.norm(led.up) * np.linalg.norm(normal):
         key = "up" if normal.any() else "normal"
         return key, f"normal {_vector(led.normal)} and up {_vector(led.up)} must be neither zero nor parallel"
     sides = np.array([along, np.cross(normal, along)])
@@ -140,9 +140,9 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
     for x, y, z in corners.tolist():
         if not _in_housing(room.pad, x, y, room.margin):
             return "center_mm", f"pokes out of the housing, at {_vector((x, y, z))}: move it, or raise walls.margin_mm"
-        if z > room.coating_z(x, y) - TOLERANCE:
+        if z > room.coating_z(x, y) - GEOMETRY_TOL:
             return "center_mm", f"reaches into the coating, at {_vector((x, y, z))}: lower, or smaller"
-    below = [z < bottom - TOLERANCE for *_, z in corners]
+    below = [z < bottom - GEOMETRY_TOL for *_, z in corners]
     if any(below) and not all(below):
         return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}: higher, or smaller"
     if all(below) and not room.scattering:
@@ -155,7 +155,7 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
 
 def _in_housing(pad: "Pad", x: float, y: float, margin: float) -> bool:
     """Whether (x, y) is inside the housing, `margin` [mm] off the pad and with square corners."""
-    return bool(pad.housing(margin).contains(x, y, TOLERANCE))
+    return bool(pad.housing(margin).contains(x, y, GEOMETRY_TOL))
 
 
 def _vector(v: tuple[float, ...]) -> str:

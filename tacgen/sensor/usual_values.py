@@ -3,18 +3,20 @@ without a source."""
 
 from collections.abc import Iterator
 
-from tacgen.sensor.base_model import NOWHERE, Part
+from tacgen.sensor.base_model import NO_SOURCE, Part
 from tacgen.sensor.model import Gel, Sensor
 from tacgen.sensor.validation_messages import Issue
 from tacgen.sensor.yaml_source import KeyPath, Tree, format_path
 
-MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
-SIDE_MM = (2.0, 200.0)  # width and height of a gel, from a fingertip's to a palm's [mm]
-THICKNESS_MM = (0.2, 100.0)  # of all its layers, from a skin on a plate to a large half ball [mm]
-COPIED = "; the rest as in "  # in the source of a part that differs from the sensor it is a copy of, before its name
+# Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
+USUAL_MODULUS_MPA = (0.005, 5.0)
+USUAL_SIDE_MM = (2.0, 200.0)  # width and height of a gel, from a fingertip's to a palm's [mm]
+USUAL_THICKNESS_MM = (0.2, 100.0)  # of all its layers, from a skin on a plate to a large half ball [mm]
+# in the source of a part that differs from the sensor it is a copy of, before its name
+COPIED_SOURCE = "; the rest as in "
 Kind = tuple[str, str, dict[str, float]]  # of quantity, its unit, and units in which it is written by mistake
-MODULI: Kind = "moduli", "MPa", {"kPa": 1e-3, "Pa": 1e-6}
-LENGTHS: Kind = "lengths", "mm", {"m": 1e3, "cm": 10.0}
+MODULUS_UNITS: Kind = "moduli", "MPa", {"kPa": 1e-3, "Pa": 1e-6}
+LENGTH_UNITS: Kind = "lengths", "mm", {"m": 1e3, "cm": 10.0}
 
 
 def warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
@@ -43,13 +45,13 @@ def _beside(sensor: Sensor) -> Iterator[Issue]:
 
 def unsourced(sensor: Part) -> list[str]:
     """Paths of the parts of a sensor without a `source`."""
-    return [format_path(path) for path, part in _parts(sensor) if getattr(part, "source", "") == NOWHERE]
+    return [format_path(path) for path, part in _parts(sensor) if getattr(part, "source", "") == NO_SOURCE]
 
 
 def assumed(sensor: Part) -> list[str]:
     """A line for each part of a sensor some of whose numbers are not those of its `base`: path and source."""
     sources = [(path, getattr(part, "source", "")) for path, part in _parts(sensor)]
-    return [f"{format_path(path)}: {source}" for path, source in sources if COPIED in source]
+    return [f"{format_path(path)}: {source}" for path, source in sources if COPIED_SOURCE in source]
 
 
 def _parts(part: Part, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Part]]:
@@ -67,13 +69,13 @@ def unusual(gel: Gel) -> Iterator[Issue]:
     paths start at the sensor's root."""
     for name in ("width_mm", "height_mm"):
         size = getattr(gel, name)
-        if asked := _asked(size, SIDE_MM, LENGTHS):
+        if asked := _asked(size, USUAL_SIDE_MM, LENGTH_UNITS):
             yield Issue(("gel", name), f"a gel of {size:g} mm; gels have {asked}")
-    if asked := _asked(gel.thickness_mm, THICKNESS_MM, LENGTHS):
+    if asked := _asked(gel.thickness_mm, USUAL_THICKNESS_MM, LENGTH_UNITS):
         yield Issue(("gel", "layers", 0, "thickness_mm"), f"a gel {gel.thickness_mm:g} mm thick; gels have {asked}")
     for i, layer in enumerate(gel.layers):
         key, modulus = layer.stiffness
-        if asked := _asked(modulus, MODULUS_MPA, MODULI):
+        if asked := _asked(modulus, USUAL_MODULUS_MPA, MODULUS_UNITS):
             yield Issue(("gel", "layers", i, key), f"a Young's modulus of {modulus:g} MPa; that of gels is {asked}")
 
 

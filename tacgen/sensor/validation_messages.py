@@ -12,13 +12,13 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tacgen.base.errors import UserError
-from tacgen.sensor.yaml_source import TAGS, KeyPath, Mark, Tree, at, describe, format_path
+from tacgen.sensor.yaml_source import CHOICE_KEYS, KeyPath, Mark, Tree, at, describe, format_path
 
 Model = TypeVar("Model", bound=BaseModel)
 
-MISSING = "is missing"
-LARGEST = 1e12  # magnitude of a number: what is computed from larger ones overflows; seeds have a limit of their own
-NOUNS = {
+MISSING_MESSAGE = "is missing"
+MAX_NUMBER = 1e12  # magnitude of a number: what is computed from larger ones overflows; seeds have a limit of their own
+TYPE_NOUNS = {
     kind: noun
     for noun, kinds in {
         "a number": "float_type float_parsing",
@@ -32,7 +32,7 @@ NOUNS = {
     }.items()
     for kind in kinds.split()
 }
-BOUNDS = {
+BOUND_TEXTS = {
     "greater_than": ("greater than", "gt"),
     "greater_than_equal": ("at least", "ge"),
     "less_than": ("less than", "lt"),
@@ -65,7 +65,7 @@ class Issue:
 
 def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Issue]]:
     """Validate plain data strictly (neither text nor true is a number): the model, or all problems."""
-    if huge := [Issue(path, f"must be within {LARGEST:g} (got {number:g})") for path, number in _huge(data, ())]:
+    if huge := [Issue(path, f"must be within {MAX_NUMBER:g} (got {number:g})") for path, number in _huge(data, ())]:
         return None, huge
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
@@ -84,9 +84,9 @@ def explained(model: type[BaseModel], data: Any, error: ValidationError) -> User
 
 
 def _huge(data: Any, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
-    """The numbers beyond LARGEST, and their paths."""
+    """The numbers beyond MAX_NUMBER, and their paths."""
     for step, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
-        if isinstance(value, int | float) and LARGEST < abs(value) < math.inf and step != "seed":
+        if isinstance(value, int | float) and MAX_NUMBER < abs(value) < math.inf and step != "seed":
             yield (*path, step), value
         yield from _huge(value, (*path, step))
 
@@ -95,13 +95,13 @@ def _together(problems: list[Issue]) -> list[Issue]:
     """Merge the missing keys of one mapping into one problem, at the place of the first."""
     lacking: dict[KeyPath, list[Issue]] = {}
     for problem in problems:
-        if problem.message.startswith(MISSING):
+        if problem.message.startswith(MISSING_MESSAGE):
             lacking.setdefault(problem.path[:-1], []).append(problem)
     out = []
     for problem in problems:
-        group = lacking.get(problem.path[:-1], []) if problem.message.startswith(MISSING) else []
+        group = lacking.get(problem.path[:-1], []) if problem.message.startswith(MISSING_MESSAGE) else []
         if len(group) > 1 and problem is group[0]:
-            names = [f"{p.path[-1]}{p.message.removeprefix(MISSING)}" for p in group]
+            names = [f"{p.path[-1]}{p.message.removeprefix(MISSING_MESSAGE)}" for p in group]
             out.append(Issue(problem.path[:-1], f"lacks {', '.join(names)}", at_key=True))
         elif len(group) < 2:
             out.append(problem)
@@ -135,11 +135,11 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Issue:
         meant = hint.removeprefix(", did you mean ").rstrip("?")
         return Issue(path, f"unknown key{hint}", at_key=True, meant=meant)
     if kind == "missing":
-        return Issue(path, f"{MISSING}{needs(model, loc)}", at_key=True)
-    if kind in NOUNS:
-        return Issue(path, f"must be {NOUNS[kind]} {got}")
-    if kind in BOUNDS:
-        word, bound = BOUNDS[kind]
+        return Issue(path, f"{MISSING_MESSAGE}{needs(model, loc)}", at_key=True)
+    if kind in TYPE_NOUNS:
+        return Issue(path, f"must be {TYPE_NOUNS[kind]} {got}")
+    if kind in BOUND_TEXTS:
+        word, bound = BOUND_TEXTS[kind]
         return Issue(path, f"must be {word} {describe(ctx[bound])} {got}")
     if kind in ("literal_error", "union_tag_invalid"):
         expected = ctx.get("expected") or ctx.get("expected_tags") or ""
@@ -151,7 +151,7 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Issue:
     if kind == "union_tag_not_found":
         key = str(ctx.get("discriminator", "")).strip("'")
         if isinstance(given, dict) and key.isidentifier():
-            return Issue((*path, key), MISSING, at_key=True)
+            return Issue((*path, key), MISSING_MESSAGE, at_key=True)
         return Issue(path, f"must be a mapping {got}")
     if kind == "string_pattern_mismatch":
         return Issue(path, f"must be letters, digits, dots, dashes and underscores only {got}")
@@ -185,7 +185,7 @@ def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
         last = i == len(loc) - 1
         if (isinstance(here, dict) and step in here) or (isinstance(here, list) and isinstance(step, int)):
             path = (*path, step)
-        elif last and isinstance(here, dict) and step in (here.get(tag, usual) for tag, usual in TAGS.items()):
+        elif last and isinstance(here, dict) and step in (here.get(tag, usual) for tag, usual in CHOICE_KEYS.items()):
             continue  # of the whole mapping, of this kind
         elif last and isinstance(here, dict) and (missing or str(step).isidentifier()):
             path = (*path, step)  # a key that was not written: missing, or a default that does not fit
@@ -208,7 +208,7 @@ def needs(model: type[BaseModel], loc: KeyPath) -> str:
 
 def _is_tag(name: str) -> bool:
     """Whether a file must give this key, though in Python the class gives it."""
-    return name in TAGS and TAGS[name] is None
+    return name in CHOICE_KEYS and CHOICE_KEYS[name] is None
 
 
 def _of_another_kind(model: type[BaseModel], loc: KeyPath) -> str:

@@ -15,10 +15,11 @@ from tacgen.base import regular_file
 from tacgen.base.errors import UserError, why
 
 KeyPath = tuple[str | int, ...]
-LARGEST = 10_000_000  # largest file [bytes]
-MAX_BITS = 1024  # of an integer; a larger one does not fit into a float
-MAX_VALUES = 100_000  # in a file; aliases can expand a small file without bound
-TAGS = {"shape": None, "law": "neo_hooke", "layout": "grid"}  # keys that choose a mapping's other keys; their defaults
+MAX_YAML_BYTES = 10_000_000  # largest file [bytes]
+MAX_INTEGER_BITS = 1024  # of an integer; a larger one does not fit into a float
+MAX_YAML_VALUES = 100_000  # in a file; aliases can expand a small file without bound
+# keys that choose a mapping's other keys; their defaults
+CHOICE_KEYS = {"shape": None, "law": "neo_hooke", "layout": "grid"}
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ class Tree:
     def merged(self, other: "Tree", path: KeyPath = ()) -> "Tree":
         """A copy with `other` laid over `path`: mappings merge key by key, anything else is replaced.
 
-        Two mappings are replaced as a whole: one with another value of TAGS, and the distribution of a varied path.
+        Two mappings are replaced as a whole: one with another value of CHOICE_KEYS, and the distribution of a varied
+        path.
         """
         mine = at(self.data, path)
         choice = len(path) == 3 and path[:2] in (("vary", "over"), ("vary", "grid"))
@@ -109,10 +111,10 @@ class Tree:
 
 
 def _other_kind(mine: Any, other: Any) -> bool:
-    """Whether two mappings differ in one of TAGS that `other` gives."""
+    """Whether two mappings differ in one of CHOICE_KEYS that `other` gives."""
     if not isinstance(mine, dict) or not isinstance(other, dict):
         return False
-    return any(tag in other and other[tag] != mine.get(tag, usual) for tag, usual in TAGS.items())
+    return any(tag in other and other[tag] != mine.get(tag, usual) for tag, usual in CHOICE_KEYS.items())
 
 
 def at(data: Any, path: KeyPath) -> Any:
@@ -197,7 +199,7 @@ def load(path: Path) -> Tree:
 def text_of(path: Path) -> str:
     """The text of a YAML file. Raises UserError: it cannot be read, or is not text."""
     try:
-        text = regular_file.read_bytes(path, LARGEST).decode("utf-8-sig").replace("\r\n", "\n")
+        text = regular_file.read_bytes(path, MAX_YAML_BYTES).decode("utf-8-sig").replace("\r\n", "\n")
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
     except IsADirectoryError:
@@ -302,7 +304,7 @@ def parse(text: str, source: Source) -> Tree:
         # ruamel raises these for some malformed scalars and tags
         raise UserError(f"{source.name}: is not YAML that can be read here: {_one_line(str(error))}") from None
     spots: dict[KeyPath, Spot] = {(): Spot(Mark(source), Mark(source))}
-    budget = iter(range(MAX_VALUES))
+    budget = iter(range(MAX_YAML_VALUES))
     return Tree(_plain(node, (), spots, budget, ()), spots)
 
 
@@ -346,7 +348,7 @@ def _plain(node: Any, path: KeyPath, spots: dict[KeyPath, Spot], budget: Iterato
         return node
     if type(node).__name__ == "ScalarBoolean":
         return bool(node)
-    if isinstance(node, int) and node.bit_length() > MAX_BITS:
+    if isinstance(node, int) and node.bit_length() > MAX_INTEGER_BITS:
         raise UserError(here.point("is too large a number"))
     for kind in (int, float, str):
         if isinstance(node, kind):

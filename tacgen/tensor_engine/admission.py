@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.admission import NEGLIGIBLE, STIFFENINGS, folds_on, rounded
+from tacgen.mechanics.admission import MAX_BARRIER_STIFFENINGS, MIN_FORCE_SCALE_RATIO, folds_on, rounded
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.load_step import INSIDE, STIFFER
+from tacgen.mechanics.load_step import BARRIER_STIFFENING_FACTOR, MAX_DEPTH_INSIDE
 from tacgen.mechanics.load_stepping import halved
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import History, State, joined
@@ -34,9 +34,9 @@ def admit(b: Batch, rows: list[int]) -> list[Outcome]:
         course.damped += course.newton_folding
         most = b.options.fold_max if course.newton_folding else b.options.residual_max
         touching, inverted = not gap > 0, not J > 0
-        if (touching or inverted) and course.solves < STIFFENINGS:
-            t.kappa[row] *= STIFFER if touching else 1.0
-            t.folds[row] *= STIFFER if inverted else 1.0
+        if (touching or inverted) and course.solves < MAX_BARRIER_STIFFENINGS:
+            t.kappa[row] *= BARRIER_STIFFENING_FACTOR if touching else 1.0
+            t.folds[row] *= BARRIER_STIFFENING_FACTOR if inverted else 1.0
             outcomes.append(Outcome.stiffer)
         elif off > most or unequal > most or touching:
             failed = {"residual": off, "balance": unequal, "least_gap": gap}
@@ -48,7 +48,7 @@ def admit(b: Batch, rows: list[int]) -> list[Outcome]:
         elif through:
             course.failure = NotConverged(Failure.snaps if course.newton_folding else Failure.too_far)
             outcomes.append(Outcome.failure)
-        elif deep > INSIDE * reach:
+        elif deep > MAX_DEPTH_INSIDE * reach:
             edge = course.problem.edge
             course.failure = NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=edge)
             outcomes.append(Outcome.failure)
@@ -109,7 +109,7 @@ def _record(b: Batch, rows: list[int], figures: list[list[float]]) -> None:
     t.put(
         s, h_error=x - t.first_order[s], h_motion=t.motion[s], h_x=x, h_offset=t.offset[s], h_N=N, h_anchor=anchor,
         h_gap=forces.gap, h_kappa=t.kappa[s], h_rotation=t.rotation[s], h_position=t.position[s],
-        h_least=torch.maximum(t.h_least[s], NEGLIGIBLE * forces.total),
+        h_least=torch.maximum(t.h_least[s], MIN_FORCE_SCALE_RATIO * forces.total),
     )  # fmt: skip
     parts = (x, N, forces.normal, normal, friction, sliding, anchor, forces.gap, t.offset[s], t.kappa[s], t.h_least[s])
     parts = tuple(part.to("cpu", non_blocking=True) for part in parts)

@@ -19,30 +19,33 @@ from tacgen.mechanics.problem import Problem
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.course import Course
-from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
+from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import gathered, index_of, put
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws
-from tacgen.tensor_engine.reduction import NOWHERE
+from tacgen.tensor_engine.reduction import PADDING_PLACE
 from tacgen.tensor_engine.replay import Replays
 from tacgen.tensor_engine.shapes import Shapes
 
 Array = np.ndarray
-FLOAT = torch.float64
-GROW = 48  # sizes of WIDE are multiples of it
-CLASS = 162  # nodes of the smallest class of contacts that are solved together; each is twice as large as the last
+FLOAT_TYPE = torch.float64
+WIDE_SIZE_MULTIPLE = 48  # sizes of WIDE_ARRAYS are multiples of it
+# nodes of the smallest class of contacts that are solved together; each is twice as large as the last
+MIN_CLASS_NODES = 162
 # Part of the patch's nodes for which there is room from the start: of 400 ordinary scenes' contacts, most are on less
 # than half of them, the largest on 0.71. Room grows, and recordings are lost, where a contact is wider
-ROOM = 0.75
-KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
-KEPT_FIRST = 6 * KEPT  # of them there is room for so many from the start: growing loses recordings
-OTHERS = 0.75  # of all unknowns of a contact, at most, have others room from the start; most scenes have half as many
+INITIAL_NODE_SHARE = 0.75
+KEPT_SIZE_MULTIPLE = 144  # unknowns on which contact acts, and others, come in multiples of it
+INITIAL_KEPT_DOFS = 6 * KEPT_SIZE_MULTIPLE  # of them there is room for so many from the start: growing loses recordings
+# of all unknowns of a contact, at most, have others room from the start; most scenes have half as many
+INITIAL_OTHER_SHARE = 0.75
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
 # and their reduction to a unknowns without e others (see reduction.Reduction)
-WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "wanted": "k", "G": "ee", "X": "ea", "K": "aa"}
-WIDE |= {"kept": "a", "lost": "e", "place": "k"}
-PADDING = {"active": False, "wanted": False, "kept": -1, "lost": -1, "place": NOWHERE}  # of all others it is 0
+WIDE_ARRAYS = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "wanted": "k", "G": "ee", "X": "ea", "K": "aa"}
+WIDE_ARRAYS |= {"kept": "a", "lost": "e", "place": "k"}
+# of all others it is 0
+PADDING_VALUES = {"active": False, "wanted": False, "kept": -1, "lost": -1, "place": PADDING_PLACE}
 
 
 class Sizes(NamedTuple):
@@ -62,14 +65,14 @@ class Sizes(NamedTuple):
 
 def room_for(patch: int) -> dict[str, int]:
     """Unknowns of a contact for which there is room from the start, on a patch of so many nodes: all of them, those
-    kept and others; see WIDE."""
-    k = 3 * math.ceil(ROOM * patch)
-    return {"k": k, "a": min(k, KEPT_FIRST), "e": math.ceil(OTHERS * k)}
+    kept and others; see WIDE_ARRAYS."""
+    k = 3 * math.ceil(INITIAL_NODE_SHARE * patch)
+    return {"k": k, "a": min(k, INITIAL_KEPT_DOFS), "e": math.ceil(INITIAL_OTHER_SHARE * k)}
 
 
 def width_class(nodes: int) -> int:
     """The size of contacts with which one of so many nodes is solved."""
-    return CLASS << max(0, (nodes - 1) // CLASS).bit_length()
+    return MIN_CLASS_NODES << max(0, (nodes - 1) // MIN_CLASS_NODES).bit_length()
 
 
 class Factors(Protocol):
@@ -161,7 +164,7 @@ class Batch:
         B, e, f = len(problems), len(topology.conn), len(topology.facets)
 
         def number(values: object) -> Tensor:
-            return torch.as_tensor(np.array(values), dtype=FLOAT, device=device)
+            return torch.as_tensor(np.array(values), dtype=FLOAT_TYPE, device=device)
 
         contacts = [p.contact for p in problems]
         q = contacts[0].faces.areas.shape[1]
@@ -187,8 +190,8 @@ class Batch:
         batch = cls(
             topology, problems[0].options, factors, [Course(*each) for each in zip(problems, places, strict=True)],
             nodes, there, used.to(device), free.to(device), hexes, folding,
-            Shapes.of([c.shape for c in contacts], FLOAT, device), number(contacts[0].faces.N),
-            number(SHAPE), number(areas), dhat,
+            Shapes.of([c.shape for c in contacts], FLOAT_TYPE, device), number(contacts[0].faces.N),
+            number(HEX_SHAPE_VALUES), number(areas), dhat,
             problems[0].options.slip * dhat, number([p.edge for p in problems]),
             number([c.shape.reach for c in contacts]), number([p.friction for p in problems]), can.to(device),
             Replays(nodes.device),
@@ -203,7 +206,7 @@ class Batch:
         m, F = int(self.patch.sum()), self.hexes.weights.shape
         room = room_for(m if self.replays.on else 0)
 
-        def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
+        def zeros(*shape: int, dtype: torch.dtype = FLOAT_TYPE) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
 
         def index(*shape: int) -> Tensor:
@@ -221,24 +224,28 @@ class Batch:
             J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
             own=index(), lost_count=index(), kept_count=index(),
             nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1,
-            c_x=zeros(m, 3), **{name: self._blank(name, B, [room[k] for k in axes]) for name, axes in WIDE.items()},
+            c_x=zeros(m, 3), **{name: self._blank(name, B, [room[k] for k in axes]) for name,
+            axes in WIDE_ARRAYS.items()},
         )  # fmt: skip
 
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
-        """Rows of padding of one of WIDE."""
-        padding = PADDING.get(name)  # tells the type, too
-        dtype = None if padding is not None else FLOAT if name == "load" else self.factors.dtype
+        """Rows of padding of one of WIDE_ARRAYS."""
+        padding = PADDING_VALUES.get(name)  # tells the type, too
+        dtype = None if padding is not None else FLOAT_TYPE if name == "load" else self.factors.dtype
         out = torch.full((count, *sizes), 0.0 if padding is None else padding, dtype=dtype, device=self.X.device)
         if name in ("S", "S_0", "K"):
             out.diagonal(dim1=1, dim2=2).fill_(1.0)
         return out
 
     def _widen(self, name: str, sizes: Sequence[int]) -> Tensor:
-        """The rows of one of WIDE, at least as wide as `sizes`."""
+        """The rows of one of WIDE_ARRAYS, at least as wide as `sizes`."""
         store = getattr(self.t, name)
         if any(new > old for new, old in zip(sizes, store.shape[1:], strict=True)):
             most, each = 3 * self.t.nodes.shape[1], zip(sizes, store.shape[1:], strict=True)
-            wider = [min(-(-int(1.3 * new) // GROW) * GROW, most) if new > old else old for new, old in each]
+            wider = [
+                min(-(-int(1.3 * new) // WIDE_SIZE_MULTIPLE) * WIDE_SIZE_MULTIPLE, most) if new > old else old
+                for new, old in each
+            ]
             self.replays.forget()
             old, store = store, self._blank(name, len(store), wider)
             store[(slice(None), *map(slice, old.shape[1:]))] = old
@@ -252,17 +259,19 @@ class Batch:
         lost = max(3 * c.nodes - c.kept for c in each)
         if self.replays.on:
             nodes = min(width_class(nodes), max(self.t.S.shape[1] // 3, nodes))
-            kept, lost = (min(-(-count // KEPT) * KEPT, 3 * nodes) for count in (kept, lost))
-            fewest = 3 * fewest // KEPT * KEPT // 3
+            kept, lost = (
+                min(-(-count // KEPT_SIZE_MULTIPLE) * KEPT_SIZE_MULTIPLE, 3 * nodes) for count in (kept, lost)
+            )
+            fewest = 3 * fewest // KEPT_SIZE_MULTIPLE * KEPT_SIZE_MULTIPLE // 3
         room = {"k": 3 * nodes, "a": kept, "e": lost if reducing else 0}
-        for name, axes in WIDE.items():
+        for name, axes in WIDE_ARRAYS.items():
             self._widen(name, [room[axis] for axis in axes])
         if self.factors.reserve(self.t.S.shape[1] // 3):
             self.replays.forget()
         return Sizes(nodes, kept, lost, fewest)
 
     def keep(self, s: Tensor, **parts: Tensor) -> None:
-        """Write rows of WIDE, which grow where they are too narrow and are padded where they are wider."""
+        """Write rows of WIDE_ARRAYS, which grow where they are too narrow and are padded where they are wider."""
         for name, value in parts.items():
             store = self._widen(name, value.shape[1:])
             row = self._blank(name, len(s), store.shape[1:])
@@ -270,11 +279,11 @@ class Batch:
             store[s] = row
 
     def wide(self, name: str, *sizes: int) -> Tensor:
-        """All rows of one of WIDE, as wide as `sizes`."""
+        """All rows of one of WIDE_ARRAYS, as wide as `sizes`."""
         return self._widen(name, sizes)[(slice(None), *map(slice, sizes))]
 
     def read(self, name: str, s: Tensor, *sizes: int) -> Tensor:
-        """Rows of one of WIDE, as wide as `sizes`."""
+        """Rows of one of WIDE_ARRAYS, as wide as `sizes`."""
         return self.wide(name, *sizes)[s]
 
     def indent(self, slot: int, shape: Shape) -> None:

@@ -12,17 +12,17 @@ import torch
 from torch import Tensor
 
 from tacgen.mechanics.bulk_newton import (
-    DAMPING_MAX,
-    MIN_GAIN,
-    ROUNDING,
-    SHORTEST,
+    ENERGY_ROUNDING,
+    MAX_DAMPING,
+    MIN_BULK_STEP,
+    MIN_ENERGY_GAIN,
     in_folds,
     next_damping,
     settles,
     slow,
 )
 from tacgen.mechanics.condensation import more
-from tacgen.mechanics.failures import SQUEEZED, Failure, NotConverged
+from tacgen.mechanics.failures import MAX_REPORTED_J, Failure, NotConverged
 from tacgen.mechanics.load_stepping import may_damp
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
@@ -37,7 +37,7 @@ from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.load_step import cover, covers, take
 from tacgen.tensor_engine.replay import Write
 
-ENDS = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
+STATUS_OUTCOMES = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
 
 
 def begin_step(b: Batch, rows: list[int]) -> list[Outcome]:
@@ -129,7 +129,7 @@ def contact(b: Batch, rows: list[int]) -> list[Outcome]:
     for some, symmetric in (([row for row in ready if ready[row]], False), (at[PartOfStep.SYMMETRIC], True)):
         for row, status in zip(some, _stepped(b, some, symmetric) if some else (), strict=True):
             if status is not None:
-                outcomes[row] = ENDS.get(status, Outcome.ended)
+                outcomes[row] = STATUS_OUTCOMES.get(status, Outcome.ended)
                 courses[row].part_of_step = PartOfStep.SYMMETRIC if status == SEARCHING else PartOfStep.COUPLED
     return list(outcomes.values())
 
@@ -198,7 +198,7 @@ def damp(b: Batch, rows: list[int]) -> list[Outcome]:
         elif not may_damp(known(course.history), course.legs[0], b.options):
             course.failure = NotConverged(Failure.folds)
             outcomes.append(Outcome.failure)
-        elif course.inner_damping > DAMPING_MAX:
+        elif course.inner_damping > MAX_DAMPING:
             fail(b, row, b.t.x[row], course.newton_steps)
             outcomes.append(Outcome.failure)
         else:
@@ -215,7 +215,7 @@ def search(b: Batch, rows: list[int]) -> list[Outcome]:
     part, left, laws = 1.0, rows, b.hexes.laws.two_invariants
     for row in rows:
         b.courses[row].part = 0.0
-    while left and part >= SHORTEST:  # nearly all take the whole step
+    while left and part >= MIN_BULK_STEP:  # nearly all take the whole step
         sizes, damped = b.sizes(left), damping(b, left)
         key, work = ("search", sizes.nodes, bool(damped), laws), partial(_search, b, sizes)
         found = dict(zip(left, b.replays(key, work, left, [part] * len(left), *damped), strict=True))
@@ -239,13 +239,13 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
     # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
     condensed_gradient = bulk.times(u) + bulk.load
     model = ((g * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + whole - before
-    rounding = step_end(b, s) * least + ROUNDING * energy.abs()
+    rounding = step_end(b, s) * least + ENERGY_ROUNDING * energy.abs()
     fraction = part[:, None, None]
     there = x + fraction * p
     value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * step, inner)
     total = value - energy + left_energy - before
     share = total / torch.minimum(part * model, -rounding)
-    lower = torch.where(total.abs() <= rounding, 1.0, share) >= MIN_GAIN
+    lower = torch.where(total.abs() <= rounding, 1.0, share) >= MIN_ENERGY_GAIN
     left = torch.where(lower[:, None, None], left, inner)
     return lower, lambda which: t.put(s, which, stepped=there, stepped_energy=value, c_x=left)
 
@@ -329,5 +329,5 @@ def fail(b: Batch, row: int, x: Tensor, steps: int) -> None:
     s = b.slots([row])
     J = determinant(b.hexes.rows(s).deformation(x[None]))[b.hexes.weights[s] > 0]
     least = float(J.min())
-    failure = Failure.squeezed if least < SQUEEZED else Failure.newton
+    failure = Failure.squeezed if least < MAX_REPORTED_J else Failure.newton
     b.courses[row].failure = NotConverged(failure, steps=steps, least_J=least)

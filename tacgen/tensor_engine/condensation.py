@@ -6,7 +6,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.bulk_newton import DAMPING_MAX
+from tacgen.mechanics.bulk_newton import MAX_DAMPING
 from tacgen.mechanics.condensation import more
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact import Contacts
@@ -68,7 +68,7 @@ def reduce(b: Batch, rows: Sequence[int]) -> None:
         for row, fine in zip(rows, b.replays(key, work, rows, *damped), strict=True):
             course = b.courses[row]
             course.reduced = course.inner_damping
-            if not fine and course.inner_damping <= DAMPING_MAX:
+            if not fine and course.inner_damping <= MAX_DAMPING:
                 course.inner_damping = more(course.inner_damping)
                 again.append(row)
         rows = again

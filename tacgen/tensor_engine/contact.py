@@ -11,20 +11,20 @@ import torch
 from torch import Tensor
 
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.barrier import SOFT, Contact, Faces
+from tacgen.mechanics.barrier import PARABOLA_GAP_RATIO, Contact, Faces
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.records import ContactArrays, Forces
 
-NOWHERE = 1e9  # gap of facets that do not exist [mm]
-NO_SLOTS = np.zeros((0, 0), np.int32)  # of a sparse matrix, which there is none
+ABSENT_GAP_MM = 1e9  # gap of facets that do not exist [mm]
+EMPTY_SLOTS = np.zeros((0, 0), np.int32)  # of a sparse matrix, which there is none
 
 
 def barrier(d: Tensor, dhat: Tensor) -> Tensor:
     """Clamped log barrier [mm] at gaps d [mm]; see mechanics.barrier.barrier."""
     s = d / dhat
-    t = s.clamp(SOFT, 1.0)
-    r, ln, below = 1 - t, torch.log(t), (s - SOFT).clamp(max=0.0)
+    t = s.clamp(PARABOLA_GAP_RATIO, 1.0)
+    r, ln, below = 1 - t, torch.log(t), (s - PARABOLA_GAP_RATIO).clamp(max=0.0)
     first, second = 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
     return dhat * (first * below + second / 2 * below**2 - r**2 * ln)
 
@@ -40,7 +40,7 @@ def smooth(u: Tensor, eps: Tensor) -> Tensor:
     return torch.where(u < eps, u**2 * (eps - u / 3) / eps**2, u - eps / 3)
 
 
-NAMES = [field.name for field in fields(Forces)]
+FORCE_FIELDS = [field.name for field in fields(Forces)]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Contacts(ContactArrays):
         """Gap (s, ..., f, q) at points (s, ..., f, q, 3) of the facets."""
         d = self.shapes.values_at(self.local(at).flatten(1, -2)).view(at.shape[:-1])
         shape = (len(at), *(1,) * (at.dim() - 4), *self.areas.shape[1:])
-        return torch.where(self.areas.view(shape) > 0, d + self.offset.view(-1, *(1,) * (d.dim() - 1)), NOWHERE)
+        return torch.where(self.areas.view(shape) > 0, d + self.offset.view(-1, *(1,) * (d.dim() - 1)), ABSENT_GAP_MM)
 
     def gap_at_nodes(self, x: Tensor) -> Tensor:
         """Gap (s, f, q) at nodes x (s, n, 3)."""
@@ -96,13 +96,13 @@ class Contacts(ContactArrays):
 
             return Forces(*gpu_contact.forces(self, x))
         found = [one.evaluate(at) for one, at in zip(self._alone(), x.double().numpy(), strict=True)]
-        parts = {name: torch.from_numpy(np.stack([getattr(one, name) for one in found])) for name in NAMES}
-        return Forces(**parts | {"gap": torch.where(self.areas > 0, parts["gap"], NOWHERE)})
+        parts = {name: torch.from_numpy(np.stack([getattr(one, name) for one in found])) for name in FORCE_FIELDS}
+        return Forces(**parts | {"gap": torch.where(self.areas > 0, parts["gap"], ABSENT_GAP_MM)})
 
     def _alone(self) -> Iterator[CoupledContact]:
         """The contact of each scene alone."""
         for k, shape in enumerate(self.shapes.each()):
-            faces = Faces(self.conn[k].numpy(), self.N.numpy(), self.areas[k].numpy(), NO_SLOTS)
+            faces = Faces(self.conn[k].numpy(), self.N.numpy(), self.areas[k].numpy(), EMPTY_SLOTS)
             pose = Pose(self.rotation[k].numpy(), self.position[k].numpy())
             numbers = (self.dhat, self.kappa, self.offset, self.friction, self.eps)
             dhat, kappa, offset, friction, eps = (part[k].item() for part in numbers)

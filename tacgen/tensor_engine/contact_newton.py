@@ -12,8 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.contact_newton import FULL_STEP, MIN_COUPLED, ROUNDING, SHORTEST
-from tacgen.mechanics.line_search import ARMIJO
+from tacgen.mechanics.contact_newton import (
+    MAX_FULL_STEP_RESIDUAL_RATIO,
+    MERIT_ROUNDING,
+    MIN_COUPLED_FRACTION,
+    MIN_LINE_SEARCH_FRACTION,
+)
+from tacgen.mechanics.line_search import ARMIJO_DECREASE
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.indices import constant
@@ -22,8 +27,9 @@ from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(5)  # see mechanics.contact_newton.ContactStatus
-HALVES = np.concatenate([[0.0], 0.5 ** np.arange(int(-np.log2(SHORTEST)) + 1)])  # of the first fraction of a step
-LONGEST, FULL = 4, 5  # columns of figures, see `tried`
+# of the first fraction of a step
+STEP_HALVINGS = np.concatenate([[0.0], 0.5 ** np.arange(int(-np.log2(MIN_LINE_SEARCH_FRACTION)) + 1)])
+LONGEST_COLUMN, FULL_STEP_COLUMN = 4, 5  # columns of figures, see `tried`
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,7 @@ def step(
     a part of the symmetric step. Otherwise those of whose coupled step no part is good enough, which are few, stay as
     they are, but SEARCHING.
     """
-    x, (contact, drift), least = now.x, shrunk(now), SHORTEST if symmetric else MIN_COUPLED
+    x, (contact, drift), least = now.x, shrunk(now), MIN_LINE_SEARCH_FRACTION if symmetric else MIN_COUPLED_FRACTION
     forces, gradient = contact.evaluate(x), bulk.gradient(x)
     g = gradient - at_nodes(contact, forces.force, x.shape[1])
     p, exists = bulk.solve(contact, forces.definite if symmetric else forces.tangent, g, symmetric)
@@ -113,7 +119,11 @@ def step(
         whole = gradient + bent - at_nodes(contact, contact.evaluate(x + p).force, x.shape[1])
     trial = TriedStep(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
     fractions, figures = tried(trial, contact, forces.gap, reach, least)
-    if devices.by_kernels(x) or recording() or not bool(((figures[:, FULL] > 0) | (now.steps >= max_steps)).all()):
+    if (
+        devices.by_kernels(x)
+        or recording()
+        or not bool(((figures[:, FULL_STEP_COLUMN] > 0) | (now.steps >= max_steps)).all())
+    ):
         fraction = downhill(fractions, figures, contact.merits(x, p, fractions, forces), least)
     else:
         fraction = torch.ones_like(reach)
@@ -146,7 +156,7 @@ def tried(trial: TriedStep, contact: Contacts, gap: Tensor, reach: Tensor, least
     And figures (s, 6): the bulk's energy at x and its first and second derivative along p, the slope of all energy, inf
     where there is no step, the longest motion of a node [mm], and whether the step halves the residual, 1, or not, 0.
     """
-    halves = constant(HALVES, reach)[: int(-np.log2(least)) + 2]
+    halves = constant(STEP_HALVINGS, reach)[: int(-np.log2(least)) + 2]
     if devices.by_kernels(reach):
         from tacgen.tensor_engine import gpu_steps
 
@@ -155,7 +165,7 @@ def tried(trial: TriedStep, contact: Contacts, gap: Tensor, reach: Tensor, least
     first = contact.max_step(gap, p, reach)
     full = torch.zeros_like(exists)
     if whole is not None:
-        full = exists & (first >= 1) & (_norm(whole) <= FULL_STEP * _norm(g))
+        full = exists & (first >= 1) & (_norm(whole) <= MAX_FULL_STEP_RESIDUAL_RATIO * _norm(g))
     energy = ((x - start).flatten(1) * (gradient.flatten(1) + load)).sum(1) / 2
     linear, square, slope = ((one * other).sum((1, 2)) for one, other in ((gradient, p), (p, bent), (g, p)))
     columns = energy, linear, square, torch.where(exists, slope, torch.inf), p.abs().flatten(1).amax(1), full.to(p)
@@ -176,7 +186,7 @@ def downhill(fractions: Tensor, figures: Tensor, merits: Tensor, least: float) -
     energy, linear, square, slope, _, full = figures[..., None].unbind(1)
     merit = energy + fractions * linear + fractions**2 * square / 2 + merits
     here = merit[:, :1]
-    most = here + ROUNDING * here.abs() + ARMIJO * fractions * slope
+    most = here + MERIT_ROUNDING * here.abs() + ARMIJO_DECREASE * fractions * slope
     lower = (merit <= most) & (slope <= 0) & (fractions >= least)
     first = lower.to(torch.int8).argmax(1, keepdim=True)
     return torch.where(full > 0, 1.0, torch.where(lower.any(1, keepdim=True), fractions.gather(1, first), 0.0))[:, 0]
@@ -196,7 +206,7 @@ def ended(
             now.drift, drift, now.gap, now.steps, max_steps, symmetric,
         )  # fmt: skip
         return Iterates(x, contact.shrunk(offset), *rest)
-    going, stuck, longest = now.steps < max_steps, fraction == 0, figures[:, LONGEST]
+    going, stuck, longest = now.steps < max_steps, fraction == 0, figures[:, LONGEST_COLUMN]
     waits = going & stuck & (not symmetric)
     gone = (there - start).abs().flatten(1).amax(1) > radius
     there = torch.where(gone[:, None, None], x + _to_radius(x - start, there - x, radius) * (there - x), there)
@@ -204,7 +214,7 @@ def ended(
     off = torch.where(gap >= 0, gap - contact.offset, 0.0)
     small = longest <= xtol
     done = (fraction == 1) & small & (torch.maximum(drift.abs(), off.abs()) <= xtol)
-    stalled = ~done & (fraction * longest < SHORTEST * xtol)
+    stalled = ~done & (fraction * longest < MIN_LINE_SEARCH_FRACTION * xtol)
     status = torch.where(done | (stalled & small), CONVERGED, torch.where(stalled, STOPPED, RUNNING))
     status = torch.where(going, torch.where(stuck | gone, UNSTABLE, status), STOPPED)
     moved = going & ~stuck

@@ -8,7 +8,7 @@ import numpy as np
 from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import RATE_GUESS, Leg
+from tacgen.mechanics.solve_state import INITIAL_CONTRACTION, Leg
 from tacgen.mechanics.state import History, State
 from tacgen.tensor_engine.grids import Place
 
@@ -55,7 +55,7 @@ class Course:
     # of Newton's method on the bulk
     new: bool = False
     residual: float = np.inf
-    rate: float = RATE_GUESS
+    rate: float = INITIAL_CONTRACTION
     damping: float = 0.0
     newton_steps: int = 0
     newton_folding: int = 0  # of newton_steps, those from the first that needed damping on

@@ -5,14 +5,14 @@ import gc
 
 import torch
 
-CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
+CPU_MEMORY_BYTES = 4e9  # [bytes] used where there is no GPU
 # part of a process's memory in use beyond which its allocator gives back what it keeps for later, since a recording can
 # not take that; and beyond which there is none for further recordings
-TIGHT, FULL = 0.6, 0.85
-URGENT = -1  # priority of a stream above the usual one
+MAX_IDLE_MEMORY_SHARE, MAX_MEMORY_SHARE = 0.6, 0.85
+URGENT_PRIORITY = -1  # priority of a stream above the usual one
 # of the memory of a GPU, what a process takes that draws on it: three quarters are PyTorch's and CUDA's own [bytes];
 # and what they take together at most
-DRAWING, HALF = 0.7e9, 0.5
+DRAWING_PROCESS_BYTES, MIN_SHARE_BESIDE_DRAWING = 0.7e9, 0.5
 BLOCKING_SYNC = 4  # CU_CTX_SCHED_BLOCKING_SYNC of CUDA's driver
 _urgent: dict[str, torch.cuda.Stream] = {}  # the stream of this process on each device
 _part = 1.0  # of a GPU's memory, that this process may use
@@ -31,13 +31,13 @@ def usable() -> list[str]:
 def chosen(device: str, part: float = 1.0) -> float:
     """Work on this device from now on in this process, with a part of its memory; returns its bytes."""
     if not device.startswith("cuda"):
-        return part * CPU_MEMORY
+        return part * CPU_MEMORY_BYTES
     global _part
     _part = part
     _wait_asleep(torch.device(device).index)
     torch.cuda.set_device(device)
     if device not in _urgent:  # one stream, since memory is kept for the stream that it was used in
-        _urgent[device] = torch.cuda.Stream(priority=URGENT)
+        _urgent[device] = torch.cuda.Stream(priority=URGENT_PRIORITY)
     torch.cuda.set_stream(_urgent[device])
     torch.cuda.set_per_process_memory_fraction(part)
     return part * float(torch.cuda.mem_get_info()[1])
@@ -47,7 +47,10 @@ def beside(device: str, drawing: int) -> float:
     """Part of a device's memory that is left beside so many processes that draw on it."""
     if not device.startswith("cuda"):
         return 1.0
-    return max(HALF, 1 - drawing * DRAWING / float(torch.cuda.get_device_properties(device).total_memory))
+    return max(
+        MIN_SHARE_BESIDE_DRAWING,
+        1 - drawing * DRAWING_PROCESS_BYTES / float(torch.cuda.get_device_properties(device).total_memory),
+    )
 
 
 def shared(device: str) -> None:
@@ -73,7 +76,7 @@ def _wait_asleep(number: int) -> None:
 def stream(device: torch.device, urgent: bool) -> torch.cuda.Stream | None:
     """A new stream of the usual priority, or of one above it: a GPU that has room for a block of threads gives it to
     urgent streams first. CUDA graphs have the priority of the stream in which they were captured. None: no GPU."""
-    return torch.cuda.Stream(device, priority=URGENT if urgent else 0) if device.type == "cuda" else None
+    return torch.cuda.Stream(device, priority=URGENT_PRIORITY if urgent else 0) if device.type == "cuda" else None
 
 
 def full(device: torch.device) -> bool:
@@ -81,9 +84,9 @@ def full(device: torch.device) -> bool:
     if device.type != "cuda":
         return False
     most = _part * torch.cuda.mem_get_info(device)[1]
-    if torch.cuda.memory_reserved(device) > TIGHT * most:
+    if torch.cuda.memory_reserved(device) > MAX_IDLE_MEMORY_SHARE * most:
         torch.cuda.empty_cache()
-    return bool(torch.cuda.memory_reserved(device) > FULL * most)
+    return bool(torch.cuda.memory_reserved(device) > MAX_MEMORY_SHARE * most)
 
 
 def cleared(device: str) -> None:

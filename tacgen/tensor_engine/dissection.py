@@ -16,12 +16,12 @@ from tacgen.tensor_engine.grids import GridPattern
 
 Array = np.ndarray
 Region = tuple[int, int, int, int]  # first and last but one column of nodes along x, then along y
-LEAF = 3  # columns of nodes across a region that is not divided
-QUARTERED = 12  # across a region that is divided in four at once: fewer updates to move, more arithmetic
+MAX_LEAF_COLUMNS = 3  # columns of nodes across a region that is not divided
+MIN_QUARTERED_COLUMNS = 12  # across a region that is divided in four at once: fewer updates to move, more arithmetic
 # A GPU's time for a number that is written and read a few times, over that for a floating-point operation of a batched
 # product, from usual bandwidths and rates [-]
-NUMBER = 150.0
-MOST_GROUPS = 2  # batches of a level: each more saves padding, and gathers from one source more
+FLOPS_PER_ENTRY = 150.0
+MAX_LEVEL_BATCHES = 2  # batches of a level: each more saves padding, and gathers from one source more
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,10 @@ def _entries(w: int, m: int) -> int:
 
 
 def dissected(
-    pattern: GridPattern, leaf: int = LEAF, quartered: int = QUARTERED, most_groups: int = MOST_GROUPS
+    pattern: GridPattern,
+    leaf: int = MAX_LEAF_COLUMNS,
+    quartered: int = MIN_QUARTERED_COLUMNS,
+    most_groups: int = MAX_LEVEL_BATCHES,
 ) -> Dissection:
     """The tree whose last regions are at most `leaf` columns of nodes wide. Regions of up to `quartered` columns are
     divided in four at once, wider ones in two along the longer side. most_groups: batches of a level."""
@@ -135,7 +138,7 @@ def _grouped(own: list[Array], bound: list[Array], most: int) -> tuple[Group, ..
 
     def cost(which: Array) -> float:
         a, b = int(w[which].max()), int(m[which].max())
-        return len(which) * (_flops(a, b) + NUMBER * _entries(a, b))
+        return len(which) * (_flops(a, b) + FLOPS_PER_ENTRY * _entries(a, b))
 
     groups = [np.lexsort((w, m))]
     while len(groups) < most:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.fem.elements import GAUSS2, trilinear
+from tacgen.fem.elements import GAUSS_POINTS_2, trilinear
 from tacgen.fem.potential import Projection
 from tacgen.physics import elements, tangents
 from tacgen.physics.cells import around
@@ -21,7 +21,9 @@ from tacgen.tensor_engine.laws import Laws
 
 Array = np.ndarray
 # N (q, 8) and dN (q, 8, 3) at the integration points
-SHAPE, GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
+HEX_SHAPE_VALUES, HEX_SHAPE_GRADIENTS = trilinear(
+    np.array([[a, b, c] for c in GAUSS_POINTS_2 for b in GAUSS_POINTS_2 for a in GAUSS_POINTS_2])
+)
 
 
 def cofactor(F: Tensor) -> Tensor:
@@ -73,7 +75,7 @@ class Hexes:
     @classmethod
     def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Laws) -> "Hexes":
         """With nodes X (s, n, 3) at rest; exists (s, e) bool."""
-        B, volume = mapped(X[:, topology.conn], GAUSS)
+        B, volume = mapped(X[:, topology.conn], HEX_SHAPE_GRADIENTS)
         return cls(topology, B.contiguous(), volume * exists[..., None], laws)
 
     def rows(self, slots: Tensor) -> "Hexes":

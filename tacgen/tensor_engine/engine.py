@@ -8,15 +8,16 @@ from torch import Tensor
 
 from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.frames import path
-from tacgen.mechanics.phases import TRANSITIONS, Outcome, Phase
+from tacgen.mechanics.phases import PHASE_TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solve_state import SolveState
 from tacgen.mechanics.state import State
 from tacgen.tensor_engine import admission, bulk_newton, load_step
 from tacgen.tensor_engine.batch import Batch
 
-SHARED = ("index", "history", "legs", "may_halve", "effort", "phase", "state", "failure")  # by Course and SolveState
-KERNELS: dict[Phase, Callable[[Batch, list[int]], list[Outcome]]] = {
+# by Course and SolveState
+SHARED_FIELDS = ("index", "history", "legs", "may_halve", "effort", "phase", "state", "failure")
+BATCH_KERNELS: dict[Phase, Callable[[Batch, list[int]], list[Outcome]]] = {
     Phase.begin: load_step.begin,
     Phase.renew: load_step.renew,
     Phase.predict: load_step.foresee,
@@ -45,9 +46,9 @@ class Solved:
 
 def advance(b: Batch, phase: Phase, rows: list[int]) -> None:
     """Call the kernel of a phase for the scenes in slots `rows`, which wait for it."""
-    for row, outcome in zip(rows, KERNELS[phase](b, rows), strict=True):
+    for row, outcome in zip(rows, BATCH_KERNELS[phase](b, rows), strict=True):
         course = b.courses[row]
-        course.phase = Phase.failed if course.left else TRANSITIONS[phase][outcome]
+        course.phase = Phase.failed if course.left else PHASE_TRANSITIONS[phase][outcome]
 
 
 def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
@@ -69,7 +70,7 @@ def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
                 b.t.put(b.slots([row]), **kept)
             elif scene.forced is not None:
                 kept = {name: rows[[row]] for name, rows in vars(b.t).items() if name.startswith("h_")}
-            for name in SHARED:
+            for name in SHARED_FIELDS:
                 setattr(course, name, getattr(now, name))
             if now.near is not None:
                 nodes, x = (torch.as_tensor(part, device=b.X.device) for part in (course.place.nodes, now.near.x))
@@ -79,6 +80,6 @@ def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
             if course.left:
                 course.why = "the contact leaves the fine part of the mesh"
                 return
-            each.now = SolveState(**{name: getattr(course, name) for name in SHARED})
+            each.now = SolveState(**{name: getattr(course, name) for name in SHARED_FIELDS})
     except NotConverged as error:
         course.why, course.phase = error, Phase.failed

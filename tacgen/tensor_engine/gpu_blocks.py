@@ -10,12 +10,12 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-PRECISION = tl.constexpr("ieee")  # of products, see tl.dot
-STEP = 32  # rows of a matrix that are eliminated at once, and that one program inverts
-TILE = 64  # rows and columns of a product that a program computes
-ALONE = {"num_warps": 1, "num_stages": 1}  # one warp, and no loads before their turn: it reads what it wrote
+DOT_PRECISION = tl.constexpr("ieee")  # of products, see tl.dot
+ELIMINATED_ROWS = 32  # rows of a matrix that are eliminated at once, and that one program inverts
+PRODUCT_TILE = 64  # rows and columns of a product that a program computes
+SINGLE_WARP = {"num_warps": 1, "num_stages": 1}  # one warp, and no loads before their turn: it reads what it wrote
 # no code of its own for each value that they may have
-SIZES = ("first", "at", "n", "width", "later", "block", "row", "length")
+UNSPECIALIZED_BLOCKS = ("first", "at", "n", "width", "later", "block", "row", "length")
 
 
 @triton.jit
@@ -53,7 +53,7 @@ def _eliminated(M, SIZE: tl.constexpr):
     return tl.where(j <= i, M, 0.0), bad
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_BLOCKS)
 def _lower_inverse(A, info, n, block, row, SIZE: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
@@ -62,7 +62,7 @@ def _lower_inverse(A, info, n, block, row, SIZE: tl.constexpr):
     tl.store(info + tl.program_id(0), bad)
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_BLOCKS)
 def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr):
     """A step of the elimination by blocks: rows of [A | 1] from `at` on times the inverse factor of their block on the
     diagonal, into R (b, SIZE, length). Before `at` A has the transformed unit matrix already."""
@@ -72,17 +72,17 @@ def _rows(A, R, info, at, n, block, row, length, SIZE: tl.constexpr):
     X, bad = _eliminated(_symmetric(start + at * (row + 1), n - at, row, SIZE), SIZE)
     inside = ((j < at) | (j >= at + SIZE)) & (j < n) & (at + i < n)
     rows = tl.load(start + tl.where(j < at, (at + i) * row + j, at + i + j * row), mask=inside, other=0.0)
-    rows = tl.dot(X, tl.where(j == at + i, 1.0, rows), input_precision=PRECISION)
+    rows = tl.dot(X, tl.where(j == at + i, 1.0, rows), input_precision=DOT_PRECISION)
     tl.store(R + which * SIZE * length + i * length + j, rows)
     if tl.program_id(1) == 0:
         known = tl.load(info + which, mask=at > 0, other=0)
         tl.store(info + which, tl.where((known == 0) & (bad > 0), bad + at, known))
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_BLOCKS)
 def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.constexpr):
-    """Subtract the rows R (b, STEP, length) of a step from those below; and they take their places, with 0 above the
-    diagonal."""
+    """Subtract the rows R (b, ELIMINATED_ROWS, length) of a step from those below; and they take their places, with 0
+    above the diagonal."""
     which, tile = tl.program_id(0).to(tl.int64), tl.program_id(1)
     first, j = R + which * STEP * length, tl.program_id(2) * TILE + tl.arange(0, TILE)
     if tile == 0:
@@ -98,7 +98,7 @@ def _later_rows(A, R, at, n, block, row, length, STEP: tl.constexpr, TILE: tl.co
             each = first + (k + tl.arange(0, 32))[:, None] * length
             P = tl.load(each + i[None, :], mask=(i < n)[None, :], other=0.0)
             Q = tl.load(each + j[None, :], mask=(j < n)[None, :], other=0.0)
-            out = tl.dot(tl.trans(P), Q, out, input_precision=PRECISION)
+            out = tl.dot(tl.trans(P), Q, out, input_precision=DOT_PRECISION)
         place = A + which * block + i[:, None] * row + j[None, :]
         inside = (i < n)[:, None] & (j < n)[None, :]
         left = tl.load(place, mask=inside & ((j < at) | (j >= at + STEP))[None, :], other=0.0)
@@ -137,7 +137,7 @@ def _own(OWN, SLOTS, which, first, n, GIVEN: tl.constexpr):
     return own
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_BLOCKS)
 def _pivot_rows(
     W, POSITIVE, OWN, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
 ):  # fmt: skip
@@ -154,12 +154,12 @@ def _pivot_rows(
         X, positive = _inverted(tl.load(rows + at + each, mask=there, other=other), SIZE)
         inside = (at + i < n) & (start + each < limit)
         old = tl.load(rows + start + each, mask=inside, other=0.0)
-        tl.store(rows + start + each, tl.dot(X, old, input_precision=PRECISION), mask=inside)
+        tl.store(rows + start + each, tl.dot(X, old, input_precision=DOT_PRECISION), mask=inside)
     if tl.program_id(1) == 0:
         tl.store(POSITIVE + which, tl.load(POSITIVE + which, mask=at > 0, other=1) & positive)
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_BLOCKS)
 def _other_rows(
     W, OWN, SLOTS, first, at, n, width, later, block, row, SIZE: tl.constexpr, GIVEN: tl.constexpr
 ):  # fmt: skip
@@ -175,7 +175,7 @@ def _other_rows(
         Q = tl.load(W + (at + each[:, None]) * row + j, mask=pivots[:, None] & (j < limit), other=0.0)
         place, inside = W + i * row + j, (i < n) & (j < limit)
         left = tl.load(place, mask=inside, other=0.0)
-        tl.store(place, left - tl.dot(P, Q, input_precision=PRECISION), mask=inside)
+        tl.store(place, left - tl.dot(P, Q, input_precision=DOT_PRECISION), mask=inside)
 
 
 def lower_inverse(A: Tensor) -> Tensor:
@@ -184,16 +184,18 @@ def lower_inverse(A: Tensor) -> Tensor:
     Returns the leading minors (b,) that are not positive, 0 where a matrix is positive definite.
     """
     n, info = A.shape[-1], torch.empty(len(A), dtype=torch.int32, device=A.device)
-    if n <= STEP:
-        _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=16 if n <= 16 else 32, **ALONE)
+    if n <= ELIMINATED_ROWS:
+        _lower_inverse[(len(A),)](A, info, n, A.stride(0), A.stride(1), SIZE=16 if n <= 16 else 32, **SINGLE_WARP)
         return info
-    tiles = triton.cdiv(n, STEP)
-    R = A.new_empty(len(A), STEP, STEP * tiles)
+    tiles = triton.cdiv(n, ELIMINATED_ROWS)
+    R = A.new_empty(len(A), ELIMINATED_ROWS, ELIMINATED_ROWS * tiles)
     sizes = n, A.stride(0), A.stride(1), R.shape[2]
-    for at in range(0, n, STEP):
-        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=STEP, **ALONE)
-        later = 1 + triton.cdiv(max(n - at - STEP, 0), TILE)
-        _later_rows[(len(A), later, triton.cdiv(n, TILE))](A, R, at, *sizes, STEP=STEP, TILE=TILE)
+    for at in range(0, n, ELIMINATED_ROWS):
+        _rows[(len(A), tiles)](A, R, info, at, *sizes, SIZE=ELIMINATED_ROWS, **SINGLE_WARP)
+        later = 1 + triton.cdiv(max(n - at - ELIMINATED_ROWS, 0), PRODUCT_TILE)
+        _later_rows[(len(A), later, triton.cdiv(n, PRODUCT_TILE))](
+            A, R, at, *sizes, STEP=ELIMINATED_ROWS, TILE=PRODUCT_TILE
+        )
     return info
 
 
@@ -202,11 +204,16 @@ def eliminate(W: Tensor, n: int, own: tuple[Tensor, Tensor] | None = None, first
     s, _, width = W.shape
     given, (counts, slots) = own is not None, own or (W, W)
     positive = torch.empty(s, dtype=torch.int32, device=W.device)
-    for at in range(0, n, STEP):
-        later = triton.cdiv(max(n - at - STEP, 0), STEP)
-        tiles, sizes = later + triton.cdiv(width - n, STEP), (first, at, n, width, later, W.stride(0), W.stride(1))
-        _pivot_rows[(s, tiles)](W, positive, counts, slots, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
-        _other_rows[(s, triton.cdiv(n, STEP), tiles)](W, counts, slots, *sizes, SIZE=STEP, GIVEN=given, **ALONE)
+    for at in range(0, n, ELIMINATED_ROWS):
+        later = triton.cdiv(max(n - at - ELIMINATED_ROWS, 0), ELIMINATED_ROWS)
+        tiles, sizes = (
+            later + triton.cdiv(width - n, ELIMINATED_ROWS),
+            (first, at, n, width, later, W.stride(0), W.stride(1)),
+        )
+        _pivot_rows[(s, tiles)](W, positive, counts, slots, *sizes, SIZE=ELIMINATED_ROWS, GIVEN=given, **SINGLE_WARP)
+        _other_rows[(s, triton.cdiv(n, ELIMINATED_ROWS), tiles)](
+            W, counts, slots, *sizes, SIZE=ELIMINATED_ROWS, GIVEN=given, **SINGLE_WARP
+        )
     return positive > 0
 
 

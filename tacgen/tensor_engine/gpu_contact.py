@@ -12,16 +12,17 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from tacgen.mechanics.barrier import SOFT
-from tacgen.mechanics.tunnelling import DEEPEST, TURN
-from tacgen.tensor_engine.gpu_distance import POINTS, signed_distance, store_vector
+from tacgen.mechanics.barrier import PARABOLA_GAP_RATIO
+from tacgen.mechanics.tunnelling import MAX_DEPTH_PER_REACH, MIN_OPPOSED_COSINE
+from tacgen.tensor_engine.gpu_distance import POINTS_PER_PROGRAM, signed_distance, store_vector
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.records import ContactArrays, Forces
 
-NOWHERE = tl.constexpr(1e9)  # gap of facets that do not exist [mm]
-SOFTEST = tl.constexpr(SOFT)
-COUNTS = ("count", "nodes", "apart", "q", "trials")  # no code of its own for each value that they may have
+TL_ABSENT_GAP_MM = tl.constexpr(1e9)  # gap of facets that do not exist [mm]
+TL_PARABOLA_GAP_RATIO = tl.constexpr(PARABOLA_GAP_RATIO)
+# no code of its own for each value that they may have
+UNSPECIALIZED_CONTACT = ("count", "nodes", "apart", "q", "trials")
 
 
 @triton.jit
@@ -54,7 +55,7 @@ def _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES):
     d, gx, gy, gz, xx, yy, zz, xy, xz, yz = signed_distance(
         lx, ly, lz, tl.load(KIND + scene), TABLE + 8 * scene, VALUES
     )
-    return tl.where(area > 0, d + offset, NOWHERE), gx, gy, gz, xx, yy, zz, xy, xz, yz
+    return tl.where(area > 0, d + offset, TL_ABSENT_GAP_MM), gx, gy, gz, xx, yy, zz, xy, xz, yz
 
 
 @triton.jit
@@ -69,8 +70,8 @@ def _turned(r, x, y, z):
 @triton.jit
 def _barrier_slopes(d, dhat):
     s = d / dhat
-    t = tl.minimum(tl.maximum(s, SOFTEST), 1.0)
-    r, ln, below = 1 - t, tl.log(t), tl.minimum(s - SOFTEST, 0.0)
+    t = tl.minimum(tl.maximum(s, TL_PARABOLA_GAP_RATIO), 1.0)
+    r, ln, below = 1 - t, tl.log(t), tl.minimum(s - TL_PARABOLA_GAP_RATIO, 0.0)
     part = r / t
     second = part * (4 + part) - 2 * ln
     return r * (2 * ln - part) + second * below, second / dhat
@@ -99,7 +100,7 @@ def _store_row(at, stored, flat, g, gx, gy, gz, soft, hx, hy, hz, pull, px, py, 
     store_vector(at, x, y, g * gz + soft * hz + pull * pz + t * fz, stored)
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_CONTACT)
 def _forces(
     X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR,
     GAP, AT, NORMAL, FORCE, PUSH, TANGENT, DEFINITE, count, nodes, apart, q, SIZE: tl.constexpr,
@@ -172,7 +173,7 @@ def _forces(
     _store_row(D + 6, stored, flat, stiff * gz, gx, gy, gz, 0, ax, ay, az, pull, ax, ay, az, tz, bx, by, bz)
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_CONTACT)
 def _merits(
     X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, KAPPA, DHAT, OFFSET, MU, EPS, ANCHOR,
     NORMAL, FORCE, OUT, count, nodes, apart, q, trials, SIZE: tl.constexpr,
@@ -189,8 +190,8 @@ def _merits(
     x, y, z = x + fraction * px, y + fraction * py, z + fraction * pz
     d, _, _, _, _, _, _, _, _, _ = _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES)
     s = d / dhat
-    t = tl.minimum(tl.maximum(s, SOFTEST), 1.0)
-    r, ln, below = 1 - t, tl.log(t), tl.minimum(s - SOFTEST, 0.0)
+    t = tl.minimum(tl.maximum(s, TL_PARABOLA_GAP_RATIO), 1.0)
+    r, ln, below = 1 - t, tl.log(t), tl.minimum(s - TL_PARABOLA_GAP_RATIO, 0.0)
     slope, second = 2 * r * ln - r * r / t, -2 * ln + 4 * r / t + (r / t) * (r / t)
     energy = kappa * area * dhat * (slope * below + second / 2 * below * below - r * r * ln)
     ux = x - tl.load(ANCHOR + 3 * number, mask=inside, other=0.0)
@@ -224,7 +225,7 @@ def _way(
     return x, y, z, tx, ty, tz, near, tl.where(near, length, 0.0)
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_CONTACT)
 def _parts_of_way(
     BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, REACH, OUT, count, nodes, apart, q,
     SIZE: tl.constexpr,
@@ -241,7 +242,7 @@ def _parts_of_way(
     tl.store(OUT + scene, tl.maximum(tl.ceil(4 * tl.max(longest, 0) / tl.load(REACH + scene)), 2.0))
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_CONTACT)
 def _blocked(
     BEFORE, X, CONN, N, AREAS, R, POSITION, OLD_R, OLD_POSITION, GAPS, REACH, PARTS, OFFSET, KIND, TABLE, VALUES, OUT,
     count, nodes, apart, q, DEEP: tl.constexpr, TURNED: tl.constexpr, SIZE: tl.constexpr,
@@ -275,13 +276,23 @@ def blocked(
     """Whether a point passes through the indenter (s,) on the way from nodes `before` (s, n, 3), when its pose was
     another and the gap (s, f, q), to x; see load_step.blocked."""
     (s, f, q), n = c.areas.shape, x.shape[1]
-    parts, blocks = reach.new_empty(s), triton.cdiv(f * q, POINTS)
+    parts, blocks = reach.new_empty(s), triton.cdiv(f * q, POINTS_PER_PROGRAM)
     out = torch.empty(s, blocks, dtype=torch.bool, device=x.device)
     way = tuple(part.contiguous() for part in (c.N, c.areas, c.rotation, c.position, rotation, position, gap, reach))
     way, counts = (before.contiguous(), x.contiguous(), c.conn, *way), (f * q, n, c.conn.stride(0), q)
     _parts_of_way[(s,)](*way, parts, *counts, SIZE=512, num_warps=16)
     shape = c.shapes.kinds, c.shapes.table, c.shapes.values
-    _blocked[(s, blocks)](*way, parts, c.offset, *shape, out, *counts, DEEP=DEEPEST, TURNED=TURN, SIZE=POINTS)
+    _blocked[(s, blocks)](
+        *way,
+        parts,
+        c.offset,
+        *shape,
+        out,
+        *counts,
+        DEEP=MAX_DEPTH_PER_REACH,
+        TURNED=MIN_OPPOSED_COSINE,
+        SIZE=POINTS_PER_PROGRAM,
+    )
     return out.any(1)
 
 
@@ -294,7 +305,7 @@ def _parts(c: ContactArrays) -> tuple[Tensor, ...]:
     return c.conn, *(part.contiguous() for part in parts)
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_CONTACT)
 def _gaps(
     X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, OFFSET, OUT, count, nodes, apart, q, SIZE: tl.constexpr
 ):  # fmt: skip
@@ -313,7 +324,9 @@ def gaps(c: ContactArrays, x: Tensor) -> Tensor:
     if f * q:
         conn, N, areas, *parts = _parts(c)
         counts = f * q, x.shape[1], c.conn.stride(0), q
-        _gaps[(s, triton.cdiv(f * q, POINTS))](x, conn, N, areas, *parts[:5], c.offset, out, *counts, SIZE=POINTS)
+        _gaps[(s, triton.cdiv(f * q, POINTS_PER_PROGRAM))](
+            x, conn, N, areas, *parts[:5], c.offset, out, *counts, SIZE=POINTS_PER_PROGRAM
+        )
     return out
 
 
@@ -324,16 +337,18 @@ def forces(c: ContactArrays, x: Tensor) -> tuple[Tensor, ...]:
     out = tuple(x.new_empty(s, f, q, *shape) for shape in shapes)
     if f * q:
         counts = f * q, x.shape[1], c.conn.stride(0), q
-        _forces[(s, triton.cdiv(f * q, POINTS))](x, *_parts(c), *out, *counts, SIZE=POINTS)
+        _forces[(s, triton.cdiv(f * q, POINTS_PER_PROGRAM))](x, *_parts(c), *out, *counts, SIZE=POINTS_PER_PROGRAM)
     return out
 
 
 def merits(c: ContactArrays, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
     """contact.Contacts.merits."""
     (s, f, q), x, p, trials = c.areas.shape, x.contiguous(), p.contiguous(), fractions.shape[1]
-    blocks = triton.cdiv(f * q, POINTS)
+    blocks = triton.cdiv(f * q, POINTS_PER_PROGRAM)
     out, given = x.new_empty(s, trials, blocks), (frozen.normal.contiguous(), frozen.N.contiguous())
     if out.numel():
         counts = f * q, x.shape[1], c.conn.stride(0), q, trials
-        _merits[(s, trials, blocks)](x, p, fractions.contiguous(), *_parts(c), *given, out, *counts, SIZE=POINTS)
+        _merits[(s, trials, blocks)](
+            x, p, fractions.contiguous(), *_parts(c), *given, out, *counts, SIZE=POINTS_PER_PROGRAM
+        )
     return out.sum(-1)

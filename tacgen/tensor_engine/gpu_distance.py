@@ -9,7 +9,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-POINTS = 128  # of a program
+POINTS_PER_PROGRAM = 128  # of a program
 
 
 @triton.jit
@@ -50,7 +50,7 @@ def _along(at, count, origin, cell):
 @triton.jit
 def signed_distance(x, y, z, kind, table, VALUES):
     """d, its gradient, and its second derivatives xx yy zz xy xz yz at points in the indenter's frame; kind: its number
-    in scope.KINDS; table: its row."""
+    in scope.SUPPORTED_SHAPES; table: its row."""
     t0, t1, t2 = tl.load(table), tl.load(table + 1), tl.load(table + 2)
     zero = x * 0
     one = zero + 1
@@ -231,5 +231,7 @@ def distances(p: Tensor, kinds: Tensor, table: Tensor, values: Tensor) -> tuple[
     p, (s, k, _) = p.contiguous(), p.shape
     d, g, H = p.new_empty(s, k), torch.empty_like(p), p.new_empty(s, k, 3, 3)
     if d.numel():
-        _distances[(s, triton.cdiv(k, POINTS))](p, kinds, table, values, d, g, H, k, SIZE=POINTS)
+        _distances[(s, triton.cdiv(k, POINTS_PER_PROGRAM))](
+            p, kinds, table, values, d, g, H, k, SIZE=POINTS_PER_PROGRAM
+        )
     return d, g, H

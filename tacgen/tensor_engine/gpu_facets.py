@@ -9,9 +9,9 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-LANES = 128  # of a program
-ROWS = 16  # of a matrix, of a program
-COUNTS = ("nodes", "facets", "face", "every", "all", "q", "width", "unknowns", "kept", "slot", "row", "k")
+FACET_LANES = 128  # of a program
+MATRIX_ROWS_PER_PROGRAM = 16  # of a matrix, of a program
+UNSPECIALIZED_FACETS = ("nodes", "facets", "face", "every", "all", "q", "width", "unknowns", "kept", "slot", "row", "k")
 
 
 def _odd(numbers: list[int]) -> tuple[int, ...]:
@@ -58,13 +58,14 @@ def _move(
     kept, close = (results, sources) if into else (sources, results)
     widths, strides = [part.shape[1:].numel() for part in close], [part.stride(0) for part in kept]
     if max(widths):
-        grid, marked = (len(slots), triton.cdiv(max(widths), LANES)), slots if which is None else which
+        grid, marked = (len(slots), triton.cdiv(max(widths), FACET_LANES)), slots if which is None else which
         _moved[grid](
-            slots, marked, sources, results, _odd(widths), _odd(strides), INTO=into, SOME=which is not None, SIZE=LANES
+            slots, marked, sources, results, _odd(widths), _odd(strides), INTO=into, SOME=which is not None,
+            SIZE=FACET_LANES
         )  # fmt: skip
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FACETS)
 def _near(
     SLOTS, FACES, LOCAL, FACETS, AREAS, ANCHOR, CONN, AREA, ANCHORS, ENDS, nodes, facets, face, every, all, q,
     SIZE: tl.constexpr,
@@ -97,13 +98,13 @@ def near(
     conn, ends = local.new_empty(s, f, 4), local.new_full((s, nodes, 4), -1)
     area, anchors = areas.new_empty(s, f, q), areas.new_empty(s, f, q, 3)
     sizes = nodes, f, faces.shape[1], every, local.shape[1], q
-    _near[(s, triton.cdiv(f * max(q, 4), LANES))](
-        slots, faces, local, facets, areas, anchor, conn, area, anchors, ends, *sizes, SIZE=LANES
+    _near[(s, triton.cdiv(f * max(q, 4), FACET_LANES))](
+        slots, faces, local, facets, areas, anchor, conn, area, anchors, ends, *sizes, SIZE=FACET_LANES
     )
     return conn, area, anchors, ends
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FACETS)
 def _at_condensed(SLOTS, NODES, X, OUT, nodes, every, all, SIZE: tl.constexpr):
     scene = tl.program_id(0).to(tl.int64)
     slot, k = tl.load(SLOTS + scene), tl.program_id(1) * SIZE + tl.arange(0, SIZE)
@@ -117,11 +118,11 @@ def at_condensed(slots: Tensor, x: Tensor, numbers: Tensor, nodes: int) -> Tenso
     """Rows (s, nodes, 3) of x (capacity, n, 3) at the nodes in numbers (capacity, m), 0 where these are -1."""
     out = x.new_empty(len(slots), nodes, 3)
     sizes = nodes, numbers.shape[1], x.shape[1]
-    _at_condensed[(len(slots), triton.cdiv(3 * nodes, LANES))](slots, numbers, x, out, *sizes, SIZE=LANES)
+    _at_condensed[(len(slots), triton.cdiv(3 * nodes, FACET_LANES))](slots, numbers, x, out, *sizes, SIZE=FACET_LANES)
     return out
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FACETS)
 def _at_nodes(ENDS, N, FORCE, OUT, nodes, facets, width, Q: tl.constexpr, SIZE: tl.constexpr):
     scene = tl.program_id(0).to(tl.int64)
     k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
@@ -140,12 +141,12 @@ def at_nodes(ends: Tensor, N: Tensor, force: Tensor) -> Tensor:
     a node is a certain corner, -1 if none."""
     (s, nodes, _), (_, f, q, c) = ends.shape, force.shape
     out = force.new_empty(s, nodes, c)
-    grid = s, triton.cdiv(c * nodes, LANES)
-    _at_nodes[grid](ends, N, force.contiguous(), out, nodes, f, c, Q=q, SIZE=LANES)
+    grid = s, triton.cdiv(c * nodes, FACET_LANES)
+    _at_nodes[grid](ends, N, force.contiguous(), out, nodes, f, c, Q=q, SIZE=FACET_LANES)
     return out
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FACETS)
 def _acted(
     SLOTS, ENDS, N, ACTIVE, KEPT, WANTED, STALE, COUNT, nodes, facets, row, Q: tl.constexpr, SIZE: tl.constexpr
 ):  # fmt: skip
@@ -177,7 +178,7 @@ def acted(
     (s, nodes, _), (_, f, q) = ends.shape, N.shape
     stale, count = wanted.new_empty(s), ends.new_empty(s)
     sizes = nodes, f, active.shape[1]
-    _acted[(s,)](slots, ends, N, active, kept, wanted, stale, count, *sizes, Q=q, SIZE=4 * LANES, num_warps=16)
+    _acted[(s,)](slots, ends, N, active, kept, wanted, stale, count, *sizes, Q=q, SIZE=4 * FACET_LANES, num_warps=16)
     return stale, count
 
 
@@ -205,7 +206,7 @@ def _add(out, column, part, acts):
     tl.store(out + column, tl.load(out + column, mask=acts, other=0.0) + part, mask=acts)
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FACETS)
 def _with_points(
     SLOTS, KEPT, PLACE, CONN, ENDS, N, D, K, OUT, kept, unknowns, facets, slot, row,
     Q: tl.constexpr, HIGH: tl.constexpr, SIZE: tl.constexpr,
@@ -240,5 +241,7 @@ def with_points(
     parts = slots, kept.contiguous(), place.contiguous(), conn, ends, N, D.contiguous(), K, out
     if a:
         sizes = a, place.shape[1], f, K.stride(0), K.stride(1)
-        _with_points[(s, triton.cdiv(a, ROWS))](*parts, *sizes, Q=q, HIGH=ROWS, SIZE=LANES)
+        _with_points[(s, triton.cdiv(a, MATRIX_ROWS_PER_PROGRAM))](
+            *parts, *sizes, Q=q, HIGH=MATRIX_ROWS_PER_PROGRAM, SIZE=FACET_LANES
+        )
     return out

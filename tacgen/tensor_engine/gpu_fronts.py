@@ -17,11 +17,12 @@ from tacgen.tensor_engine.dense import invert_factor, squared, times_transposed
 if TYPE_CHECKING:
     from tacgen.tensor_engine.fronts import Fronts, Panel
 
-NUMBERS = ("pairs", "size", "numbers", "apart", "t", "w", "m", "n")  # no code of its own for each value of these
-SIZES = (*NUMBERS, "length", "beyond", "slot", "row", "to_slot", "to_row")
+# no code of its own for each value of these
+UNSPECIALIZED_FRONT_COUNTS = ("pairs", "size", "numbers", "apart", "t", "w", "m", "n")
+UNSPECIALIZED_FRONTS = (*UNSPECIALIZED_FRONT_COUNTS, "length", "beyond", "slot", "row", "to_slot", "to_row")
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FRONTS)
 def _entries(ELEMENTS, PARTS, DIAGONAL, OUT, pairs, size, MANY: tl.constexpr):
     scene, pair = tl.program_id(1).to(tl.int64), tl.program_id(0) * MANY + tl.arange(0, MANY)
     n = tl.arange(0, 16)
@@ -57,7 +58,7 @@ def _summed(BELOW, PLACES, FIRST, LENGTH, front, n, row, column, ARITY: tl.const
     return out
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FRONTS)
 def _assembled(
     DATA, BELOW, PLACES, FIRST, LENGTH, MAP, OUT, numbers, size, apart, t, w, n,
     ARITY: tl.constexpr, ENTRIES: tl.constexpr, WHOLE: tl.constexpr, ROWS: tl.constexpr, COLUMNS: tl.constexpr,
@@ -78,7 +79,7 @@ def _assembled(
         tl.store(OUT + (which * 3 * n + row[:, None]) * 3 * w + column[None, :], out, mask=inside)
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FRONTS)
 def _kept(
     COLUMNS, L, SLOTS, INVERSE, BELOW, t, w, m, n, length, beyond, slot, row, to_slot, to_row,
     ROWS: tl.constexpr, COLS: tl.constexpr,
@@ -101,7 +102,7 @@ def _kept(
         tl.store(at, out, mask=(i < beyond) & (column < length))
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_FRONTS)
 def _left(
     BELOW, PLACES, FIRST, LENGTH, SQUARES, OUT, size, apart, t, w, m, n, length,
     ARITY: tl.constexpr, WHOLE: tl.constexpr, ROWS: tl.constexpr, COLS: tl.constexpr,

@@ -14,21 +14,36 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from tacgen.mechanics.contact_newton import FULL_STEP, ROUNDING, SHORTEST
-from tacgen.mechanics.line_search import ARMIJO
+from tacgen.mechanics.contact_newton import MAX_FULL_STEP_RESIDUAL_RATIO, MERIT_ROUNDING, MIN_LINE_SEARCH_FRACTION
+from tacgen.mechanics.line_search import ARMIJO_DECREASE
 from tacgen.tensor_engine.gpu_contact import _point
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.contact import Contacts
 
-LANES, WARPS = 512, 16  # of a program, most of whose time is waiting for what it loads
-COUNTS = ("scenes", "size", "unknowns", "kept", "lost", "count", "nodes", "apart", "q", "trials", "columns", "most")
-HALVED, RISE, DECREASE, SMALLEST = (tl.constexpr(x) for x in (FULL_STEP, ROUNDING, ARMIJO, SHORTEST))
+STEP_LANES, STEP_WARPS = 512, 16  # of a program, most of whose time is waiting for what it loads
+UNSPECIALIZED_STEPS = (
+    "scenes",
+    "size",
+    "unknowns",
+    "kept",
+    "lost",
+    "count",
+    "nodes",
+    "apart",
+    "q",
+    "trials",
+    "columns",
+    "most",
+)
+TL_MAX_FULL_STEP_RATIO, TL_MERIT_ROUNDING, TL_ARMIJO_DECREASE, TL_MIN_FRACTION = (
+    tl.constexpr(x) for x in (MAX_FULL_STEP_RESIDUAL_RATIO, MERIT_ROUNDING, ARMIJO_DECREASE, MIN_LINE_SEARCH_FRACTION)
+)
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (tl.constexpr(k) for k in range(5))  # as in contact_newton
-INFINITE = tl.constexpr(float("inf"))
+TL_INFINITY = tl.constexpr(float("inf"))
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)
 def _shrunk(LENGTH, DHAT, GAP, OFFSET, DRIFT, NEW, OFF, scenes, SIZE: tl.constexpr):
     k = tl.program_id(0) * SIZE + tl.arange(0, SIZE)
     inside = k < scenes
@@ -41,11 +56,11 @@ def _shrunk(LENGTH, DHAT, GAP, OFFSET, DRIFT, NEW, OFF, scenes, SIZE: tl.constex
 def shrunk(length: Tensor, dhat: Tensor, gap: Tensor, offset: Tensor, drift: Tensor) -> tuple[Tensor, Tensor]:
     """contact_newton.shrunk: offsets and by how much the mean gap was off (s,)."""
     new, off, s = torch.empty_like(gap), torch.empty_like(gap), len(gap)
-    _shrunk[(triton.cdiv(s, LANES),)](length, dhat, gap, offset, drift, new, off, s, SIZE=LANES)
+    _shrunk[(triton.cdiv(s, STEP_LANES),)](length, dhat, gap, offset, drift, new, off, s, SIZE=STEP_LANES)
     return new, off
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)
 def _picked(B, AT, LESS, OUT, unknowns, kept, SIZE: tl.constexpr, GIVEN: tl.constexpr):
     scene = tl.program_id(0).to(tl.int64)
     k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
@@ -62,12 +77,12 @@ def picked(b: Tensor, at: Tensor, less: Tensor | None = None) -> Tensor:
     out, (s, a) = b.new_empty(at.shape), at.shape
     if a:
         given = b if less is None else less
-        grid = (s, triton.cdiv(a, LANES))
-        _picked[grid](b, at, given, out, b.shape[1], a, SIZE=LANES, GIVEN=less is not None)
+        grid = (s, triton.cdiv(a, STEP_LANES))
+        _picked[grid](b, at, given, out, b.shape[1], a, SIZE=STEP_LANES, GIVEN=less is not None)
     return out
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)
 def _joined(G, X, SOME, PLACE, GOOD, OUT, EXISTS, unknowns, kept, lost, SIZE: tl.constexpr):
     scene, lane = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE)
     bad, good = tl.zeros((SIZE,), tl.int32), tl.load(GOOD + scene)
@@ -86,7 +101,7 @@ def _joined(G, X, SOME, PLACE, GOOD, OUT, EXISTS, unknowns, kept, lost, SIZE: tl
             if writes:
                 tl.store(OUT + at, tl.where(good, value, 0.0).to(OUT.dtype.element_ty), mask=inside)
             else:
-                bad = tl.where(tl.abs(value) < INFINITE, bad, 1)
+                bad = tl.where(tl.abs(value) < TL_INFINITY, bad, 1)
             i += SIZE
         if not writes:
             good = good & (tl.max(bad, 0) == 0)
@@ -99,11 +114,11 @@ def joined(G: Tensor, X: Tensor, x: Tensor, place: Tensor, good: Tensor, dtype: 
     (s, k), exists = place.shape, torch.empty_like(good)
     out = G.new_empty(s, k, dtype=dtype)
     sizes = k, x.shape[1], G.shape[1]
-    _joined[(s,)](G, X, x, place, good, out, exists, *sizes, SIZE=LANES, num_warps=WARPS)
+    _joined[(s,)](G, X, x, place, good, out, exists, *sizes, SIZE=STEP_LANES, num_warps=STEP_WARPS)
     return out, exists
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)
 def _exact(B, PRODUCT, GOOD, size, LIMIT: tl.constexpr, SIZE: tl.constexpr):
     scene, lane, i = tl.program_id(0).to(tl.int64), tl.arange(0, SIZE), 0
     largest, off = tl.zeros((SIZE,), B.dtype.element_ty), tl.zeros((SIZE,), B.dtype.element_ty)
@@ -112,21 +127,21 @@ def _exact(B, PRODUCT, GOOD, size, LIMIT: tl.constexpr, SIZE: tl.constexpr):
         b = tl.load(B + scene * size + k, mask=k < size, other=0.0)
         less = tl.abs(b - tl.load(PRODUCT + scene * size + k, mask=k < size, other=0.0))
         largest = tl.maximum(largest, tl.abs(b))
-        off = tl.maximum(off, tl.where(less < INFINITE, less, INFINITE))  # nor is it small if it is no number
+        off = tl.maximum(off, tl.where(less < TL_INFINITY, less, TL_INFINITY))  # nor is it small if it is no number
         i += SIZE
     largest, off = tl.max(largest, 0), tl.max(off, 0)
-    tl.store(GOOD + scene, (off <= LIMIT * largest) & (off < INFINITE))
+    tl.store(GOOD + scene, (off <= LIMIT * largest) & (off < TL_INFINITY))
 
 
 def exact(b: Tensor, product: Tensor, limit: float) -> Tensor:
     """Whether b (s, a, 1) and a product differ by at most `limit` times the largest of b (s,)."""
     s, size, _ = b.shape
     good = torch.empty(s, dtype=torch.bool, device=b.device)
-    _exact[(s,)](b, product, good, size, LIMIT=limit, SIZE=LANES, num_warps=WARPS)
+    _exact[(s,)](b, product, good, size, LIMIT=limit, SIZE=STEP_LANES, num_warps=STEP_WARPS)
     return good
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)
 def _tried(
     X, START, LOAD, GRADIENT, G, P, BENT, WHOLE, EXISTS, CONN, N, GAP, REACH, HALVES, FRACTIONS, FIGURES,
     count, nodes, apart, q, trials, FULL: tl.constexpr, TRIALS: tl.constexpr, SIZE: tl.constexpr,
@@ -155,18 +170,23 @@ def _tried(
         k = i + lane
         inside = k < count
         x, y, z = _point(P, CONN, N, scene, k, nodes, apart, q, inside)
-        gap = tl.load(GAP + scene * count + k, mask=inside, other=INFINITE)
+        gap = tl.load(GAP + scene * count + k, mask=inside, other=TL_INFINITY)
         allowed = tl.maximum(gap, 0.0) + reach / 2
         first = tl.minimum(first, allowed / tl.maximum(tl.sqrt(x * x + y * y + z * z), 1e-300))
         i += SIZE
     first, slope = tl.min(first, 0), tl.sum(slope, 0)
     exists = tl.load(EXISTS + scene)
-    full = exists & (first >= 1) & (tl.sqrt(tl.sum(after, 0)) <= HALVED * tl.sqrt(tl.sum(before, 0))) & FULL
+    full = (
+        exists
+        & (first >= 1)
+        & (tl.sqrt(tl.sum(after, 0)) <= TL_MAX_FULL_STEP_RATIO * tl.sqrt(tl.sum(before, 0)))
+        & FULL
+    )
     out = FIGURES + 6 * scene
     tl.store(out, tl.sum(energy, 0) / 2)
     tl.store(out + 1, tl.sum(linear, 0))
     tl.store(out + 2, tl.sum(square, 0))
-    tl.store(out + 3, tl.where(exists, slope, INFINITE))
+    tl.store(out + 3, tl.where(exists, slope, TL_INFINITY))
     tl.store(out + 4, tl.max(longest, 0))
     tl.store(out + 5, tl.where(full, 1.0, 0.0))
     j = tl.arange(0, TRIALS)
@@ -185,12 +205,12 @@ def tried(
     sizes = f * q, nodes, contact.conn.stride(0), q, trials
     _tried[(s,)](
         *(part.contiguous() for part in given), exists, contact.conn, contact.N, gap, reach, halves, fractions, figures,
-        *sizes, FULL=whole is not None, TRIALS=triton.next_power_of_2(trials), SIZE=LANES, num_warps=WARPS,
+        *sizes, FULL=whole is not None, TRIALS=triton.next_power_of_2(trials), SIZE=STEP_LANES, num_warps=STEP_WARPS,
     )  # fmt: skip
     return fractions, figures
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)
 def _downhill(FRACTIONS, FIGURES, MERITS, OUT, trials, LEAST: tl.constexpr, TRIALS: tl.constexpr):
     scene, j = tl.program_id(0), tl.arange(0, TRIALS)
     own, inside = FIGURES + 6 * scene, j < trials
@@ -199,7 +219,7 @@ def _downhill(FRACTIONS, FIGURES, MERITS, OUT, trials, LEAST: tl.constexpr, TRIA
     merit = tl.load(own) + fraction * linear + fraction * fraction * square / 2
     merit += tl.load(MERITS + scene * trials + j, mask=inside, other=0.0)
     here = tl.sum(tl.where(j == 0, merit, 0.0), 0)
-    most = here + RISE * tl.abs(here) + DECREASE * fraction * tl.minimum(slope, 0.0)
+    most = here + TL_MERIT_ROUNDING * tl.abs(here) + TL_ARMIJO_DECREASE * fraction * tl.minimum(slope, 0.0)
     lower = inside & (merit <= most) & (fraction >= LEAST)
     first = tl.min(tl.where(lower, j, TRIALS), 0)
     found = tl.where(slope <= 0, tl.sum(tl.where(j == first, fraction, 0.0), 0), 0.0)
@@ -216,7 +236,7 @@ def downhill(fractions: Tensor, figures: Tensor, merits: Tensor, least: float) -
     return out
 
 
-@triton.jit(do_not_specialize=COUNTS)
+@triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)
 def _ended(
     X, THERE, START, FRACTION, FIGURES, N, GAPS, RADIUS, XTOL, BEFORE, OFFSET, LENGTH, OLD_DRIFT, DRIFT, OLD_GAP, STEPS,
     OUT, OFFSETS, COUNTED, LENGTHS, DRIFTS, MEAN, STATUS, count, columns, most,
@@ -232,17 +252,17 @@ def _ended(
         weighted += N_at * tl.load(GAPS + at, mask=inside, other=0.0)
         i += SIZE
     force, weighted = tl.sum(force, 0), tl.sum(weighted, 0)
-    radius, farthest, part, i = tl.load(RADIUS + scene), none, none + INFINITE, 0
+    radius, farthest, part, i = tl.load(RADIUS + scene), none, none + TL_INFINITY, 0
     while i < columns:
         inside, at = i + lane < columns, scene * columns + i + lane
         x, there = tl.load(X + at, mask=inside, other=0.0), tl.load(THERE + at, mask=inside, other=0.0)
         start, step = tl.load(START + at, mask=inside, other=0.0), there - x
         farthest = tl.maximum(farthest, tl.abs(there - start))
         room = radius - tl.where(step > 0, x - start, tl.where(step < 0, start - x, 0.0))
-        part = tl.minimum(part, tl.where(step != 0, room / tl.maximum(tl.abs(step), 1e-300), INFINITE))
+        part = tl.minimum(part, tl.where(step != 0, room / tl.maximum(tl.abs(step), 1e-300), TL_INFINITY))
         i += SIZE
     gone, part = tl.max(farthest, 0) > radius, tl.maximum(tl.min(part, 0), 0.0)
-    part = tl.where(part < INFINITE, part, 0.0)  # nothing moves
+    part = tl.where(part < TL_INFINITY, part, 0.0)  # nothing moves
     steps, fraction, longest = tl.load(STEPS + scene), tl.load(FRACTION + scene), tl.load(FIGURES + 6 * scene + 4)
     offset, drift, xtol = tl.load(OFFSET + scene), tl.load(DRIFT + scene), tl.load(XTOL + scene)
     going, stuck, small = steps < most, fraction == 0, longest <= xtol
@@ -250,7 +270,7 @@ def _ended(
     gap = tl.where(force > 0, weighted / tl.maximum(force, 1e-300), -1.0)
     off = tl.where(gap >= 0, tl.abs(gap - offset), 0.0)
     done = (fraction == 1) & small & (tl.maximum(tl.abs(drift), off) <= xtol)
-    stalled = ~done & (fraction * longest < SMALLEST * xtol)
+    stalled = ~done & (fraction * longest < TL_MIN_FRACTION * xtol)
     status = tl.where(done | (stalled & small), CONVERGED, tl.where(stalled, STOPPED, RUNNING))
     status = tl.where(going, tl.where(stuck | gone, UNSTABLE, status), STOPPED)
     moved = going & ~stuck
@@ -280,6 +300,6 @@ def ended(
     out = tuple(torch.empty_like(like) for like in (x, offset, steps, length, drift, old_gap, steps))
     sizes = N[0].numel(), x[0].numel(), most
     _ended[(len(x),)](
-        *(part.contiguous() for part in given), *out, *sizes, SYMMETRIC=symmetric, SIZE=LANES, num_warps=WARPS
+        *(part.contiguous() for part in given), *out, *sizes, SYMMETRIC=symmetric, SIZE=STEP_LANES, num_warps=STEP_WARPS
     )
     return out

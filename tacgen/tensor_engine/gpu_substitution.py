@@ -14,8 +14,8 @@ from torch import Tensor
 if TYPE_CHECKING:
     from tacgen.tensor_engine.fronts import FrontGroup, Panel
 
-ROWS, LONG = 32, 64  # numbers of a result that a program computes, and of a sum that it adds at once
-SIZES = ("t", "rows", "w", "m", "nodes", "size", "slot", "to", "length")
+RESULT_ROWS, SUM_LENGTH = 32, 64  # numbers of a result that a program computes, and of a sum that it adds at once
+UNSPECIALIZED_SUBSTITUTION = ("t", "rows", "w", "m", "nodes", "size", "slot", "to", "length")
 
 
 @triton.jit
@@ -36,7 +36,7 @@ def _carried(BELOW, PLACES, CHILDREN, number, there, n, ARITY: tl.constexpr):
     return out
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_SUBSTITUTION)
 def _solved(
     B, BELOW, PLACES, CHILDREN, OWN, INVERSE, SLOTS, Y, t, w, m, nodes, size, slot,
     ARITY: tl.constexpr, SUM: tl.constexpr, ROWS: tl.constexpr, LONG: tl.constexpr,
@@ -61,7 +61,7 @@ def _solved(
     tl.store(Y + 3 * (scene * (nodes + 1) + node) + row % 3, out, mask=node < nodes)
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_SUBSTITUTION)
 def _left(
     BELOW, PLACES, CHILDREN, OWN, PANEL, SLOTS, Y, OUT, t, w, m, nodes, size, slot, to, length,
     ARITY: tl.constexpr, ROWS: tl.constexpr, LONG: tl.constexpr,
@@ -82,7 +82,7 @@ def _left(
     tl.store(OUT + scene * length + to + front * m + row, carried - out, mask=row < m)
 
 
-@triton.jit(do_not_specialize=SIZES)
+@triton.jit(do_not_specialize=UNSPECIALIZED_SUBSTITUTION)
 def _turned(
     M, SLOTS, NODES, X, OWN, Y, OUT, t, rows, w, nodes, slot,
     LESS: tl.constexpr, ROWS: tl.constexpr, LONG: tl.constexpr,
@@ -114,21 +114,21 @@ def forward(
     (t, w, m), arity = group.fronts.sizes, group.rows.shape[1]
     sources, nodes = (below, group.fronts.places, group.rows, group.own), b.shape[1] - 1
     inverse = y if panel is None else panel.inverse
-    _solved[(len(b) * t, triton.cdiv(w, ROWS))](
+    _solved[(len(b) * t, triton.cdiv(w, RESULT_ROWS))](
         b, *sources, inverse, slots, y, t, w, m, nodes, below.shape[1], inverse.stride(0), ARITY=arity,
-        SUM=panel is None, ROWS=ROWS, LONG=LONG,
+        SUM=panel is None, ROWS=RESULT_ROWS, LONG=SUM_LENGTH,
     )  # fmt: skip
     if panel is not None and m:
-        _left[(len(b) * t, triton.cdiv(m, ROWS))](
+        _left[(len(b) * t, triton.cdiv(m, RESULT_ROWS))](
             *sources, panel.below, slots, y, updates, t, w, m, nodes, below.shape[1], panel.below.stride(0),
-            3 * group.row, updates.stride(0), ARITY=arity, ROWS=ROWS, LONG=LONG,
+            3 * group.row, updates.stride(0), ARITY=arity, ROWS=RESULT_ROWS, LONG=SUM_LENGTH,
         )  # fmt: skip
 
 
 def backward(group: FrontGroup, panel: Panel, slots: Tensor, y: Tensor, x: Tensor) -> None:
     """multifrontal.backward."""
     (t, w, m), nodes = group.fronts.sizes, y.shape[1] - 1
-    grid, sizes = (len(y) * t, triton.cdiv(w, ROWS)), {"ROWS": ROWS, "LONG": LONG}
+    grid, sizes = (len(y) * t, triton.cdiv(w, RESULT_ROWS)), {"ROWS": RESULT_ROWS, "LONG": SUM_LENGTH}
     _turned[grid](
         panel.below, slots, group.bound, x, group.own, y, y, t, m, w, nodes, panel.below.stride(0), LESS=True, **sizes
     )

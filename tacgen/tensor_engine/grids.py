@@ -18,13 +18,13 @@ from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
-SIDE = 3  # cells of a pattern on each side of the patch; most graded meshes have 3 or 4
+SIDE_CELLS = 3  # cells of a pattern on each side of the patch; most graded meshes have 3 or 4
 # Cells of the patch along x or y. More sizes waste fewer unknowns and divide the scenes into more patterns; nodes of
 # nearly all (with those at the sides) divide into quarters of equal size, so that fronts need little padding
-SIZES = (8, 12, 16, 20, 24, 32)
+PATCH_SIZES = (8, 12, 16, 20, 24, 32)
 # Cells of a pattern of which each further scene takes as long as a pool takes alone, with the square of the cells: as
 # fitted to 42 pools of 1 to 272 scenes with 1620 to 7980 cells on an H100 with eight and with twelve processes
-LARGE = 10_000
+REFERENCE_CELLS = 10_000
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class GridPattern:
     """
 
     cells: tuple[int, int, int]
-    side: int = SIDE
+    side: int = SIDE_CELLS
 
     @property
     def nodes(self) -> tuple[int, int, int]:
@@ -144,7 +144,7 @@ def placed(axes: mesh.Axes, scene: Scene, pattern: GridPattern) -> Embedded:
 
 def time_of(pattern: GridPattern, scenes: float) -> float:
     """Time for a pool of scenes of one pattern, relative to what a pool takes for any few small ones."""
-    return 1.0 + scenes * (len(pattern.hexes) / LARGE) ** 2
+    return 1.0 + scenes * (len(pattern.hexes) / REFERENCE_CELLS) ** 2
 
 
 def merged(wanted: Mapping[GridPattern, int]) -> dict[GridPattern, GridPattern]:
@@ -175,13 +175,13 @@ def _both(a: GridPattern, b: GridPattern) -> GridPattern:
 
 def _size(count: int, fine: tuple[int, int]) -> int | None:
     """Cells along one axis of the smallest pattern for a grid of `count` cells, fine between two of its nodes."""
-    totals = (size + 2 * SIDE for size in SIZES)
+    totals = (size + 2 * SIDE_CELLS for size in PATCH_SIZES)
     return next((total for total in totals if _first(count, fine, total) is not None), None)
 
 
 def _first(count: int, fine: tuple[int, int], total: int) -> int | None:
     """Where in a pattern of `total` cells along one axis such a grid begins, in the middle of where it may."""
-    low, high = max(0, SIDE - fine[0]), min(total - count, total - SIDE - fine[1])
+    low, high = max(0, SIDE_CELLS - fine[0]), min(total - count, total - SIDE_CELLS - fine[1])
     return (low + high) // 2 if low <= high else None
 
 

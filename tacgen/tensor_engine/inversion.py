@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from tacgen.fem.elements import grid_points
-from tacgen.fem.folding_barrier import STIFFNESS
-from tacgen.fem.jacobian import DEPTH, TABLES
+from tacgen.fem.folding_barrier import INVERSION_BARRIER_STIFFNESS
+from tacgen.fem.jacobian import JACOBIAN_TABLES, MAX_SUBDIVISIONS
 from tacgen.fem.potential import Projection
 from tacgen.physics import elements, tangents
 from tacgen.physics.laws import BARRIER_J0
@@ -22,14 +22,16 @@ from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.replay import rare, recording
 from tacgen.tensor_engine.replay import room as recorded_room
 
-DENSE = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
-TABLE = TABLES[8]
-ONE = np.eye(len(TABLE.share))[TABLE.monomial.ravel()] * TABLE.share  # coefficients (27,) of the triples (64, 27)
-PARTS = TABLE.pieces.reshape(-1, len(TABLE.share))
-ELSEWHERE = np.where(TABLE.share == 1, 0.0, np.inf)  # added to the coefficients, leaves those at corners
+INVERSION_POINT_GRADIENTS = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
+HEX_TABLE = JACOBIAN_TABLES[8]
+# coefficients (27,) of the triples (64, 27)
+TRIPLE_COEFFICIENTS = np.eye(len(HEX_TABLE.share))[HEX_TABLE.monomial.ravel()] * HEX_TABLE.share
+PIECE_TRANSFORMS = HEX_TABLE.pieces.reshape(-1, len(HEX_TABLE.share))
+AWAY_FROM_CORNERS = np.where(HEX_TABLE.share == 1, 0.0, np.inf)  # added to the coefficients, leaves those at corners
 # cells of a scene on which a recorded barrier acts at most, first and where more do
-FOLDED = 64, 1024
-DIVIDED, RECORDED = 4096, (64, 1024)  # pieces of a scene that are divided at once at most, and in a recording
+RECORDED_BARRIER_CELLS = 64, 1024
+# pieces of a scene that are divided at once at most, and in a recording
+MAX_DIVIDED_PIECES, RECORDED_DIVIDED_PIECES = 4096, (64, 1024)
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Folding:
         if not len(self.items):
             return
         kernels = tangents.double() if out.dtype is torch.float64 else tangents.single()
-        k, q, b = len(self.items), len(DENSE), self.barriers
+        k, q, b = len(self.items), len(INVERSION_POINT_GRADIENTS), self.barriers
         points = room(kernels.Point, (k, q), out)
         modes = None if projection is Projection.NONE else room(kernels.mat, (k, q, 9), out)
         launch(
@@ -74,7 +76,9 @@ class FoldingBarriers:
     def on(cls, topology: Topology, X: Tensor, volume: Tensor, mu: Tensor) -> "FoldingBarriers":
         """With nodes X (s, n, 3) at rest, volumes (s, e) [mm^3] and shear moduli [MPa] of cells."""
         rest = _determinants(X[:, topology.conn]).contiguous()
-        return cls(topology, rest, rest.amax(-1), STIFFNESS * mu * volume / len(DENSE))
+        return cls(
+            topology, rest, rest.amax(-1), INVERSION_BARRIER_STIFFNESS * mu * volume / len(INVERSION_POINT_GRADIENTS)
+        )
 
     def rows(self, slots: Tensor) -> "FoldingBarriers":
         """Only some scenes (r,)."""
@@ -86,7 +90,7 @@ class FoldingBarriers:
 
     @property
     def dN(self) -> Tensor:
-        return constant(DENSE, self.rest)
+        return constant(INVERSION_POINT_GRADIENTS, self.rest)
 
     @cached_property
     def numbers(self) -> Tensor:
@@ -115,7 +119,7 @@ class FoldingBarriers:
         """At positions x (s, n, 3)."""
         low = self._lowest(x)
         if recording():  # the lowest; it is 0 where they are above J0
-            most = min(recorded_room(*FOLDED), low.shape[1])
+            most = min(recorded_room(*RECORDED_BARRIER_CELLS), low.shape[1])
             rare((low < BARRIER_J0).sum(1) > most)
             cell = low.topk(most, largest=False).indices.flatten()
             scene = torch.arange(len(x), device=x.device).repeat_interleave(most)
@@ -137,33 +141,33 @@ class FoldingBarriers:
 
 def _determinants(corners: Tensor) -> Tensor:
     """det(dx/dxi) (s, e, q) at the dense points of hexes with corners (s, e, 8, 3)."""
-    a, b, c = torch.einsum("qaj,seai->jseqi", constant(DENSE, corners), corners).unbind(0)
+    a, b, c = torch.einsum("qaj,seai->jseqi", constant(INVERSION_POINT_GRADIENTS, corners), corners).unbind(0)
     return (a * torch.linalg.cross(b, c)).sum(-1)
 
 
 def coefficients(corners: Tensor) -> Tensor:
     """Bernstein coefficients (..., 27) of the determinant of hexes with corners (..., 8, 3) [mm^3]."""
-    g = torch.einsum("kpa,...aj->...kpj", constant(TABLE.columns, corners), corners)
+    g = torch.einsum("kpa,...aj->...kpj", constant(HEX_TABLE.columns, corners), corners)
     crossed = torch.linalg.cross(g[..., 0, :, None, :], g[..., 1, None, :, :])
     triples = (crossed.flatten(-3, -2) @ g[..., 2, :, :].mT).flatten(-2)
-    return triples @ constant(ONE, corners)
+    return triples @ constant(TRIPLE_COEFFICIENTS, corners)
 
 
 def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol: float = 0.01) -> Tensor:
     """Lower bounds (s,) of J at all points of all cells that exist (s, e); see fem.jacobian.least_jacobian."""
-    corners, parts, there = constant(ELSEWHERE, x), constant(PARTS, x).T, exists
+    corners, parts, there = constant(AWAY_FROM_CORNERS, x), constant(PIECE_TRANSFORMS, x).T, exists
     volume = torch.where(exists, coefficients(X[:, topology.conn]).mean(-1), 1.0)
     pieces = coefficients(x[:, topology.conn]) / volume[..., None]
     bound = attained = torch.full_like(x[:, 0, 0], torch.inf)
-    for depth in range(DEPTH + 1):
+    for depth in range(MAX_SUBDIVISIONS + 1):
         at_corners = (pieces + corners).amin(-1)
         attained = torch.minimum(attained, torch.where(there, at_corners, torch.inf).amin(1))
         low = torch.where(there, pieces.amin(-1), torch.inf)
         open_ = low < attained[:, None] - tol
-        if depth == DEPTH or not (recording() or bool(open_.any())):
+        if depth == MAX_SUBDIVISIONS or not (recording() or bool(open_.any())):
             bound = torch.minimum(bound, low.amin(1))
             break
-        count = min(recorded_room(*RECORDED) if recording() else DIVIDED, low.shape[1])
+        count = min(recorded_room(*RECORDED_DIVIDED_PIECES) if recording() else MAX_DIVIDED_PIECES, low.shape[1])
         if recording():
             rare(open_.sum(1) > count)
         which = low.topk(count, largest=False).indices
@@ -172,5 +176,5 @@ def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol
         bound = torch.minimum(bound, left.amin(1))
         pieces = pieces.gather(1, which[..., None].expand(-1, -1, pieces.shape[2]))
         pieces = (pieces @ parts).view(len(x), -1, pieces.shape[2])
-        there = there.repeat_interleave(len(TABLE.pieces), 1)
+        there = there.repeat_interleave(len(HEX_TABLE.pieces), 1)
     return torch.where(torch.isfinite(x).all(-1).all(-1), bound, -torch.inf)

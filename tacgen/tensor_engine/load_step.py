@@ -13,9 +13,9 @@ from torch import Tensor
 from tacgen.fem.potential import Projection
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.phases import Outcome
-from tacgen.mechanics.predictor import PARALLEL, TIE
-from tacgen.mechanics.solve_state import RATE_GUESS
-from tacgen.mechanics.tunnelling import DEEPEST, TURN
+from tacgen.mechanics.predictor import MIN_STEP_COSINE, STICKING_SPRING_STIFFNESS
+from tacgen.mechanics.solve_state import INITIAL_CONTRACTION
+from tacgen.mechanics.tunnelling import MAX_DEPTH_PER_REACH, MIN_OPPOSED_COSINE
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
@@ -140,7 +140,9 @@ def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
     motion = torch.where(touching[..., None], face.world(_last_local(b, s, at)) - at, 0.0)
     count = contact.conn.shape[1]
     row, faces = torch.arange(len(s), device=s.device)[:, None], t.faces[s, :count].clamp(min=0)
-    ties = torch.where(contact.areas > 0, TIE * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0)[..., None]
+    ties = torch.where(
+        contact.areas > 0, STICKING_SPRING_STIFFNESS * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0
+    )[..., None]
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
     place = torch.arange(k, device=s.device).expand(len(s), -1)
     S, facets = b.wide("S", k, k), (contact.conn, contact.ends, contact.N)
@@ -154,7 +156,9 @@ def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
     both = (touching & before.any(-1))[..., None]
     pairs = ((motion, before), (motion, motion), (before, before))
     along, now, then = ((p * q * both).flatten(1).sum(1) for p, q in pairs)
-    part = torch.where(along > PARALLEL * torch.sqrt(now * then), (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
+    part = torch.where(
+        along > MIN_STEP_COSINE * torch.sqrt(now * then), (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0
+    )
     ahead, motion = first + (part**2)[:, None, None] * t.h_error[s], torch.where(good[:, None, None, None], motion, 0.0)
     t.put(s, first_order=first, ahead=ahead, motion=motion)
     return good, None
@@ -180,7 +184,12 @@ def start(b: Batch, rows: list[int]) -> list[Outcome]:
     for row, course in zip(rows, courses, strict=True):
         if row in failed:
             course.failure = NotConverged(Failure.too_far)
-        course.new, course.residual, course.rate, course.damping = not b.options.keep_tangent, np.inf, RATE_GUESS, 0.0
+        course.new, course.residual, course.rate, course.damping = (
+            not b.options.keep_tangent,
+            np.inf,
+            INITIAL_CONTRACTION,
+            0.0,
+        )
         course.newton_steps = course.newton_folding = 0
     return [Outcome.failure if row in failed else Outcome.ready for row in rows]
 
@@ -250,8 +259,8 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
         inside = (d + contact.offset[:, None, None] < 0) & near
         entry = torch.where((inside & ~entered)[..., None], n, entry)
         entered = entered | inside
-        deep = near & (d < (-DEEPEST * reach)[:, None, None])
-        turned = entered & ((entry * n).sum(-1) < -TURN)
+        deep = near & (d < (-MAX_DEPTH_PER_REACH * reach)[:, None, None])
+        turned = entered & ((entry * n).sum(-1) < -MIN_OPPOSED_COSINE)
         out = out | ((deep | turned).flatten(1).any(1) & (k <= parts))
         entered = entered & inside
     return out

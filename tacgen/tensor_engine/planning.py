@@ -13,7 +13,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import grids, scope
 from tacgen.tensor_engine.grids import GridPattern
 
-LEAST = 12  # scenes of a part: fewer take about as long, as their longest one does
+MIN_PART_SCENES = 12  # scenes of a part: fewer take about as long, as their longest one does
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ def divided(plans: Sequence[Planned], processes: int) -> list[list[int]]:
 
 def _parts(pattern: GridPattern, group: Sequence[int], processes: int) -> list[tuple[float, int]]:
     """The time of a part and how many there are, for a pool in one and more parts, as many as there are processes or
-    fewer, and of no fewer than LEAST scenes."""
-    most = min(processes, math.ceil(len(group) / LEAST))
+    fewer, and of no fewer than MIN_PART_SCENES scenes."""
+    most = min(processes, math.ceil(len(group) / MIN_PART_SCENES))
     return [(grids.time_of(pattern, len(group) / count), count) for count in range(1, most + 1)]
 
 

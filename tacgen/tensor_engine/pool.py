@@ -9,12 +9,12 @@ from typing import NamedTuple
 import torch
 
 from tacgen.mechanics import mesh
-from tacgen.mechanics.phases import FINAL, Phase
+from tacgen.mechanics.phases import FINAL_PHASES, Phase
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, replay, scheduler
-from tacgen.tensor_engine.batch import KEPT_FIRST, Batch, room_for, width_class
+from tacgen.tensor_engine.batch import INITIAL_KEPT_DOFS, Batch, room_for, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.course import PartOfStep
 from tacgen.tensor_engine.dissection import Dissection, dissected
@@ -24,17 +24,18 @@ from tacgen.tensor_engine.grids import Embedded
 from tacgen.tensor_engine.multifrontal import Multifrontal
 from tacgen.tensor_engine.planning import Planned, pools
 
-MOST_SLOTS = 1024  # more scenes at once are hardly faster
+MAX_SLOTS = 1024  # more scenes at once are hardly faster
 # A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So put off are
 # those that took more kernel calls for their frames and trials of a force so far, and for some more, than ordinary
 # ones, which take 50 each; and of each pool, where no more wait, this part. They are solved again together, to their
 # end: multilevel feedback (Corbato, Merwin-Daggett, Daley 1962).
-MOST_CALLS, MORE_FRAMES, LAST = 120, 3, 0.06
-CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
-WORK, TANGENT = 3_000, 6_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
-MATRIX = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
-DENSE = (Phase.contact, Phase.predict)
-HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
+MAX_FIRST_CALLS, EXTRA_CALL_FRAMES, PUT_OFF_SHARE = 120, 3, 0.06
+BYTES_PER_CELL, BYTES_PER_UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
+# bytes of a cell for the work of a kernel, and of one that makes tangents
+WORK_BYTES_PER_CELL, TANGENT_BYTES_PER_CELL = 3_000, 6_000
+WORK_BYTES_PER_ENTRY = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
+DENSE_PHASES = (Phase.contact, Phase.predict)
+ALL_CELL_PHASES = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
 class Kind(NamedTuple):
@@ -85,15 +86,15 @@ class ScenePool:
             refill.fill(self.batch, slot, scene.problem, scene.grid)
             self.batch.replays.entered(slot)
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
-        self._calls[slot] = self._most * (MORE_FRAMES + 1)
+        self._calls[slot] = self._most * (EXTRA_CALL_FRAMES + 1)
         next(self._frames[slot], None)
 
     def phase(self, slot: int) -> Phase | None:
         """The kernel for which the scene in a slot waits; None: all its frames are solved, or one could not be."""
         course = self.batch.courses[slot]
-        if self._calls[slot] <= 0 and course.phase not in FINAL:
+        if self._calls[slot] <= 0 and course.phase not in FINAL_PHASES:
             return None
-        if course.phase in FINAL:
+        if course.phase in FINAL_PHASES:
             if next(self._frames[slot], None) is None:
                 return None
             self._calls[slot] += self._most
@@ -102,7 +103,7 @@ class ScenePool:
     def kind(self, slot: int) -> Kind:
         """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next."""
         course = self.batch.courses[slot]
-        return Kind(course.part_of_step, width_class(course.nodes)) if course.phase in DENSE else Kind()
+        return Kind(course.part_of_step, width_class(course.nodes)) if course.phase in DENSE_PHASES else Kind()
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -114,7 +115,7 @@ class ScenePool:
         """The states of the scene in a slot, which has ended or is put off."""
         del self._frames[slot]
         course = self.batch.courses[slot]
-        late = course.phase not in FINAL and course.why is None
+        late = course.phase not in FINAL_PHASES and course.why is None
         return Solved(course.states, f"put off after {len(course.states)} frames" if late else course.why, late)
 
 
@@ -123,9 +124,9 @@ def solved(
     device: str = "cpu",
     *,
     dtype: torch.dtype = torch.float32,
-    slots: int = MOST_SLOTS,
+    slots: int = MAX_SLOTS,
     share: bool = True,
-    memory: float = devices.CPU_MEMORY,
+    memory: float = devices.CPU_MEMORY_BYTES,
     use: scheduler.Use | None = None,
     patient: bool = True,
 ) -> Iterator[tuple[int, Solved]]:
@@ -158,7 +159,7 @@ def _solved(
 ) -> Iterator[tuple[int, Solved]]:
     """Numbers of scenes of one pattern and their solutions."""
     first, pool = list(islice(ready, count)), None
-    count, calls = len(first), math.inf if patient else MOST_CALLS
+    count, calls = len(first), math.inf if patient else MAX_FIRST_CALLS
     while pool is None:
         try:
             pool = ScenePool(first[:count], tree, device, dtype, calls)
@@ -168,7 +169,7 @@ def _solved(
             count //= 2
         if pool is None:  # what the error has held is free by now
             devices.cleared(device)
-    last = 0 if patient else int(LAST * pool.count)
+    last = 0 if patient else int(PUT_OFF_SHARE * pool.count)
     for scene, found in scheduler.run(pool, chain(first, ready), room.fitting, use, last):
         yield scene.number, found
 
@@ -191,14 +192,14 @@ class Room:
         c, a, e = room_for(len(tree.patch)).values()
         # Schur complements now and at rest, and reduced; an inverse of the rest of the patch, and what couples both
         dense = 2 * c**2 + e**2 + e * a + a**2 + k**2 + k * c
-        own = 4.0 * (tree.kept + dense) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
-        each = dict.fromkeys(HEAVY, float(WORK * cells))
-        each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT * cells)
+        own = 4.0 * (tree.kept + dense) + BYTES_PER_CELL * cells + BYTES_PER_UNKNOWN * 3 * tree.pattern.size
+        each = dict.fromkeys(ALL_CELL_PHASES, float(WORK_BYTES_PER_CELL * cells))
+        each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT_BYTES_PER_CELL * cells)
         return cls(max(1, int(0.45 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:
         """How many of so many scenes that wait go into one call."""
         stepping = phase is Phase.contact and kind.part is not PartOfStep.REDUCE  # works on the kept unknowns
-        rows = min(3 * kind.nodes, KEPT_FIRST) if stepping else 3 * kind.nodes
-        each = MATRIX * rows**2 if phase in DENSE else self.each.get(phase, 0.0)
+        rows = min(3 * kind.nodes, INITIAL_KEPT_DOFS) if stepping else 3 * kind.nodes
+        each = WORK_BYTES_PER_ENTRY * rows**2 if phase in DENSE_PHASES else self.each.get(phase, 0.0)
         return replay.fitting(waiting, int(self.work / max(each, 1.0)))

@@ -17,9 +17,9 @@ from tacgen.tensor_engine.replay import rare
 # Largest residual of a solution without pivots, over the largest entry of the right-hand side: a forcing term of an
 # inexact Newton method (Dembo, Eisenstat & Steihaug 1982). Of ordinary scenes' systems half stay below 3e-6, 99.9 % are
 # below 5e-3; beyond, pivots are chosen
-EXACT = 1e-2
-NOWHERE = -(2**31)  # the place of padding
-ALIGNED = 4  # numbers at whose multiples rows of a system start, for the library's products
+MAX_UNPIVOTED_RESIDUAL = 1e-2
+PADDING_PLACE = -(2**31)  # the place of padding
+ROW_ALIGNMENT = 4  # numbers at whose multiples rows of a system start, for the library's products
 Own = tuple[Tensor, Tensor]  # numbers of rows by slot (capacity,), and slots (s,)
 
 
@@ -95,7 +95,7 @@ def solved_by_elimination(
     n = K.shape[1]
     if not n:  # nothing touches
         return b, torch.ones(len(K), dtype=torch.bool, device=K.device)
-    W = K.new_empty(len(K), n, n // ALIGNED * ALIGNED + 2 * ALIGNED)[..., : n + 1]
+    W = K.new_empty(len(K), n, n // ROW_ALIGNMENT * ROW_ALIGNMENT + 2 * ROW_ALIGNMENT)[..., : n + 1]
     W[..., :n], W[..., n:] = K, b
     positive, x = eliminate(W, n, own), W[..., n:].contiguous()
     if symmetric:
@@ -113,8 +113,8 @@ def _exact(b: Tensor, product: Tensor) -> Tensor:
     if devices.by_kernels(b):
         from tacgen.tensor_engine import gpu_steps
 
-        return gpu_steps.exact(b, product, EXACT)
-    return (b - product).abs().amax((1, 2)) <= EXACT * b.abs().amax((1, 2))
+        return gpu_steps.exact(b, product, MAX_UNPIVOTED_RESIDUAL)
+    return (b - product).abs().amax((1, 2)) <= MAX_UNPIVOTED_RESIDUAL * b.abs().amax((1, 2))
 
 
 def eliminate(W: Tensor, n: int, own: Own | None = None, first: int = 0) -> Tensor:
@@ -147,7 +147,9 @@ def reduced(S: Tensor, active: Tensor, exists: Tensor, a: int, e: int) -> tuple[
     `a`, and at most `e` others; and where what is eliminated is positive definite."""
     others = exists & ~active
     kept, lost = numbered(active, a), numbered(others, e)
-    place = torch.where(active, active.long().cumsum(1) - 1, torch.where(others, -others.long().cumsum(1), NOWHERE))
+    place = torch.where(
+        active, active.long().cumsum(1) - 1, torch.where(others, -others.long().cumsum(1), PADDING_PLACE)
+    )
     order = torch.cat([lost, kept], 1)
     at, padded = order.clamp(min=0), order < 0
     M = S.gather(1, at[:, :, None].expand(-1, -1, S.shape[1])).gather(2, at[:, None, :].expand(-1, e + a, -1))

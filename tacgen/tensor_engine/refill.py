@@ -5,12 +5,12 @@ from dataclasses import replace
 import torch
 
 from tacgen.mechanics.problem import Problem
-from tacgen.tensor_engine.batch import WIDE, Batch
+from tacgen.tensor_engine.batch import WIDE_ARRAYS, Batch
 from tacgen.tensor_engine.grids import Place
 
-ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
+PROBLEM_ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
 
-FOLDING = ("rest", "most", "stiffness")
+FOLDING_ROWS = ("rest", "most", "stiffness")
 
 
 def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
@@ -22,14 +22,14 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
         raise ValueError("scenes of one batch have equally many contact points in a facet")
     patch = torch.nonzero(b.patch).squeeze(1).cpu().numpy()
     one = Batch.of([problem], [place], b.topology, b.factors, patch, str(b.X.device))
-    for name in ROWS:
+    for name in PROBLEM_ROWS:
         getattr(b, name)[slot] = getattr(one, name)[0]
     b.free &= one.free  # bonded nodes that no scene before has had
-    for mine, new, names in ((b.hexes, one.hexes, ("B", "weights")), (b.folding, one.folding, FOLDING)):
+    for mine, new, names in ((b.hexes, one.hexes, ("B", "weights")), (b.folding, one.folding, FOLDING_ROWS)):
         for name in names:
             getattr(mine, name)[slot] = getattr(new, name)[0]
     b.hexes = replace(b.hexes, laws=b.hexes.laws.replaced(slot, one.hexes.laws))
     b.courses[slot] = one.courses[0]
     for name, rows in vars(b.t).items():
-        rows[slot] = b._blank(name, 1, rows.shape[1:])[0] if name in WIDE else getattr(one.t, name)[0]
+        rows[slot] = b._blank(name, 1, rows.shape[1:])[0] if name in WIDE_ARRAYS else getattr(one.t, name)[0]
     b.indent(slot, one.shapes.all[0])

@@ -24,9 +24,9 @@ from torch import Tensor
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.indices import index_of
 
-SIZES = (2, 4, 8, 16, 32, 64, 128, 256)  # rows of recordings
-SMALL = 16  # rows of a call that would take hardly less time with fewer
-SLOW = ("factor",)  # work that fills a GPU, and gives way to all other
+RECORDED_ROWS = (2, 4, 8, 16, 32, 64, 128, 256)  # rows of recordings
+MAX_UNTRIMMED_ROWS = 16  # rows of a call that would take hardly less time with fewer
+SLOW_KERNELS = ("factor",)  # work that fills a GPU, and gives way to all other
 Write = Callable[[Tensor | None], None]  # writes the rows of a mask (s,), or all
 Work = Callable[..., tuple[Tensor | None, Write | None]]  # of slots (s,) and numbers (s,)
 _noted: "_Notes | None" = None  # while work is recorded
@@ -34,16 +34,16 @@ _noted: "_Notes | None" = None  # while work is recorded
 
 def padded(rows: int) -> int:
     """Rows of the recording for so many; each size takes the time of some calls to record."""
-    return next((size for size in SIZES if size >= rows), -(-rows // SIZES[-1]) * SIZES[-1])
+    return next((size for size in RECORDED_ROWS if size >= rows), -(-rows // RECORDED_ROWS[-1]) * RECORDED_ROWS[-1])
 
 
 def fitting(waiting: int, most: int) -> int:
     """How many of the scenes that wait, at most `most`, go into one call. Rows that repeat the first one take as long
     as others, but where a call is small anyway."""
-    rows = min(waiting, max(size for size in SIZES if size <= max(most, SIZES[0])))
-    if rows <= SMALL or rows >= 0.75 * padded(rows):
+    rows = min(waiting, max(size for size in RECORDED_ROWS if size <= max(most, RECORDED_ROWS[0])))
+    if rows <= MAX_UNTRIMMED_ROWS or rows >= 0.75 * padded(rows):
         return rows
-    return max(size for size in SIZES if size <= rows)
+    return max(size for size in RECORDED_ROWS if size <= rows)
 
 
 def rare(mask: Tensor) -> bool:
@@ -163,7 +163,7 @@ class Replays:
         if devices.full(self.device):
             return None
         key, size, roomy = at
-        if (slow := _kind(key) in SLOW) not in self._streams:
+        if (slow := _kind(key) in SLOW_KERNELS) not in self._streams:
             self._streams[slow] = devices.stream(self.device, urgent=not slow)
         if self._pool is None and self.device.type == "cuda":
             self._pool = torch.cuda.graph_pool_handle()

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 from tacgen.mechanics.phases import Phase
 
-GRACE = 100  # calls in which the last scenes may still end: as many as two ordinary frames take
+MAX_GRACE_CALLS = 100  # calls in which the last scenes may still end: as many as two ordinary frames take
 Scene = TypeVar("Scene")
 Result = TypeVar("Result")
 S = TypeVar("S", contravariant=True)
@@ -99,7 +99,7 @@ def run(
         if ended:
             continue
         late += len(inside) <= last and bool(free)  # no others wait
-        if late > GRACE:
+        if late > MAX_GRACE_CALLS:
             yield from ((inside[slot], slots.leave(slot)) for slot in inside)
             return
         key = max(queues, key=lambda each: len(queues[each]) / (1 + asked[each]) ** 0.5)

@@ -6,7 +6,7 @@ from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.scene import Scene
 
 # the numbers of each analytic shape, in the order in which gpu_distance takes them
-NUMBERS: dict[type, tuple[str, ...]] = {
+SHAPE_NUMBERS: dict[type, tuple[str, ...]] = {
     sdf.SphereSdf: ("radius",),
     sdf.CapsuleSdf: ("radius", "length"),
     sdf.TorusSdf: ("radius", "tube_radius"),
@@ -15,7 +15,7 @@ NUMBERS: dict[type, tuple[str, ...]] = {
     sdf.ConeSdf: ("half_angle", "tip_radius"),
     sdf.WedgeSdf: ("half_angle", "tip_radius", "length"),
 }
-KINDS = (*NUMBERS, Field)
+SUPPORTED_SHAPES = (*SHAPE_NUMBERS, Field)
 
 
 def lacks(scene: Scene) -> str | None:
@@ -31,4 +31,4 @@ def lacks(scene: Scene) -> str | None:
 
 def known(shape: Shape) -> bool:
     """Whether a shape has a kernel on a GPU."""
-    return type(shape) in KINDS
+    return type(shape) in SUPPORTED_SHAPES

@@ -11,16 +11,16 @@ from torch import Tensor
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.scope import KINDS, NUMBERS
+from tacgen.tensor_engine.scope import SHAPE_NUMBERS, SUPPORTED_SHAPES
 
 Distances = tuple[Tensor, Tensor, Tensor]
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """An indenter for each scene: its number (s,) among `all`, those of the whole batch, and in KINDS; a table (s, 8)
-    of numbers: of analytic shapes those of NUMBERS, of fields where its coefficients begin, its nodes, origin and cell;
-    and the coefficients of all fields one after the other."""
+    """An indenter for each scene: its number (s,) among `all`, those of the whole batch, and in SUPPORTED_SHAPES; a
+    table (s, 8) of numbers: of analytic shapes those of SHAPE_NUMBERS, of fields where its coefficients begin, its
+    nodes, origin and cell; and the coefficients of all fields one after the other."""
 
     numbers: Tensor
     kinds: Tensor
@@ -37,7 +37,7 @@ class Shapes:
             parts.append(_coefficients(field, dtype, device))
             starts[key], count = count, count + parts[-1].numel()
         rows = [_row(shape, starts.get(id(shape), 0)) for shape in shapes]
-        kinds = torch.tensor([KINDS.index(type(shape)) for shape in shapes], device=device)
+        kinds = torch.tensor([SUPPORTED_SHAPES.index(type(shape)) for shape in shapes], device=device)
         table, numbers = torch.tensor(rows, dtype=dtype, device=device), torch.arange(len(shapes), device=device)
         return cls(numbers, kinds, table, torch.cat(parts), tuple(shapes))
 
@@ -79,7 +79,7 @@ def _row(shape: Shape, first: int) -> list[float]:
     """A row of Shapes.table; first: where a field's coefficients begin."""
     if isinstance(shape, Field):
         return [first, *shape.coefficients.shape, *(float(x) for x in shape.origin), shape.cell]
-    numbers = [getattr(shape, name) for name in NUMBERS[type(shape)]]
+    numbers = [getattr(shape, name) for name in SHAPE_NUMBERS[type(shape)]]
     return numbers + [0.0] * (8 - len(numbers))
 
 

@@ -15,13 +15,13 @@ from torch import Tensor
 
 from tacgen.geometry.outline import Pad
 from tacgen.optics.camera import PinholeCamera
-from tacgen.optics.shadows import DENTED, LARGE, SMALL
+from tacgen.optics.shadows import LARGE_BLOCK_CELLS, MIN_SHADOWING_FALL_MM, SMALL_BLOCK_CELLS
 from tacgen.optics.surface_grid import Sheet
 
-LANES = 128  # of a program
-STEPS = 12  # of Newton's method; it doubles the digits with each, from a start that has two
-NOTHING = (1 << 63) - 1  # key of a sample behind which no triangle lies
-EXTENT = 5  # numbers that tell where a face may cast shadows: Terrain.lowest and box
+FACE_LANES = 128  # of a program
+PROJECTION_NEWTON_STEPS = 12  # of Newton's method; it doubles the digits with each, from a start that has two
+EMPTY_SAMPLE_KEY = (1 << 63) - 1  # key of a sample behind which no triangle lies
+TERRAIN_NUMBERS = 5  # numbers that tell where a face may cast shadows: Terrain.lowest and box
 
 
 @triton.jit
@@ -213,26 +213,48 @@ class FaceDrawer:
         frames, count, _ = nodes.shape
         screen, level = (nodes.new_empty(frames, count, 2) for _ in range(2))
         facing = nodes.new_empty(nodes.shape, dtype=torch.float32)
-        grid = triton.cdiv(count, LANES), frames
-        _nodes[grid](nodes, self._lens, screen, level, facing, count, *self._grid, self._layers, STEPS, LANES)
+        grid = triton.cdiv(count, FACE_LANES), frames
+        _nodes[grid](
+            nodes,
+            self._lens,
+            screen,
+            level,
+            facing,
+            count,
+            *self._grid,
+            self._layers,
+            PROJECTION_NEWTON_STEPS,
+            FACE_LANES,
+        )
         keys = self._keys(nodes, screen, self._shape)
         return SeenFaces(nodes.float(), facing, screen, keys, self._terrains(nodes, level))
 
     def _keys(self, nodes: Tensor, screen: Tensor, shape: tuple[int, int]) -> Tensor:
         frames, count, _ = nodes.shape
-        keys = torch.full((frames, math.prod(shape)), NOTHING, dtype=torch.int64, device=nodes.device)
-        grid = triton.cdiv(len(self.triangles), LANES), frames
-        _rasterized[grid](self.triangles, screen, nodes, keys, len(self.triangles), count, *shape, LANES)
+        keys = torch.full((frames, math.prod(shape)), EMPTY_SAMPLE_KEY, dtype=torch.int64, device=nodes.device)
+        grid = triton.cdiv(len(self.triangles), FACE_LANES), frames
+        _rasterized[grid](self.triangles, screen, nodes, keys, len(self.triangles), count, *shape, FACE_LANES)
         return keys
 
     def _terrains(self, nodes: Tensor, level: Tensor) -> Terrains:
         (rows, columns), (frames, count, _) = self._grid, nodes.shape
         keys = self._keys(nodes, level, self._grid)
         heights, blocked = (nodes.new_empty(frames, rows, columns, dtype=torch.float32) for _ in range(2))
-        _terrain[triton.cdiv(rows * columns, LANES), frames](
-            keys, self.triangles, level, nodes, self._before, heights, blocked, count, rows, columns, DENTED, LANES
+        _terrain[triton.cdiv(rows * columns, FACE_LANES), frames](
+            keys,
+            self.triangles,
+            level,
+            nodes,
+            self._before,
+            heights,
+            blocked,
+            count,
+            rows,
+            columns,
+            MIN_SHADOWING_FALL_MM,
+            FACE_LANES,
         )
-        small, large = (lowest(blocked, cells) for cells in (SMALL, LARGE))
+        small, large = (lowest(blocked, cells) for cells in (SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS))
         return Terrains(heights, small, large, extents(small))
 
 
@@ -243,9 +265,9 @@ def lowest(heights: Tensor, cells: int) -> Tensor:
 
 
 def extents(small: Tensor) -> Tensor:
-    """Terrain.lowest and box (F, EXTENT) by the least heights of small blocks (F, rows, columns)."""
-    out = small.new_empty(len(small), EXTENT)
-    _extent[len(small),](small, out, *small.shape[1:], SMALL, triton.next_power_of_2(small[0].numel()))
+    """Terrain.lowest and box (F, TERRAIN_NUMBERS) by the least heights of small blocks (F, rows, columns)."""
+    out = small.new_empty(len(small), TERRAIN_NUMBERS)
+    _extent[len(small),](small, out, *small.shape[1:], SMALL_BLOCK_CELLS, triton.next_power_of_2(small[0].numel()))
     return out
 
 

@@ -10,7 +10,7 @@ import triton.language as tl
 
 from tacgen.tensor_optics.gpu_faces import placed
 
-SAMPLES = 32  # of a program: one warp, whose samples wait for each other at the horizon only
+SAMPLES_PER_PROGRAM = 32  # of a program: one warp, whose samples wait for each other at the horizon only
 
 
 @triton.jit

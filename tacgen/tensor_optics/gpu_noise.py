@@ -14,8 +14,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-LANES = 256  # of a program
-FACTOR, BITS = 0x2360ED051FC65DA44385DF649FCCF645, (1 << 128) - 1
+NOISE_LANES = 256  # of a program
+PCG_MULTIPLIER, PCG_MASK = 0x2360ED051FC65DA44385DF649FCCF645, (1 << 128) - 1
 
 
 @lru_cache(maxsize=2)
@@ -24,8 +24,8 @@ def jumps(count: int) -> np.ndarray:
     half of A, then of C (4, count), int64."""
     halves, power, total = bytearray(), 1, 0
     for _ in range(count):
-        total = (total + power) & BITS  # C: the sum of all powers before
-        power = power * FACTOR & BITS
+        total = (total + power) & PCG_MASK  # C: the sum of all powers before
+        power = power * PCG_MULTIPLIER & PCG_MASK
         halves += power.to_bytes(16, "little") + total.to_bytes(16, "little")
     return np.ascontiguousarray(np.frombuffer(halves, "<i8").reshape(count, 4).T)
 
@@ -82,5 +82,5 @@ def drawn(states: Tensor, jumps: Tensor) -> Tensor:
     integers(0, 65536, 4 n, np.uint16); `jumps` (4, n) are those of as many steps, four numbers to each."""
     frames, count = len(states), jumps.shape[1]
     out = torch.empty((frames, count), dtype=torch.int64, device=states.device)
-    _outputs[triton.cdiv(count, LANES), frames](states, jumps, out, count, LANES)
+    _outputs[triton.cdiv(count, NOISE_LANES), frames](states, jumps, out, count, NOISE_LANES)
     return out.view(torch.int16)

@@ -8,9 +8,9 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from tacgen.optics.camera_response import CELLS
+from tacgen.optics.camera_response import RESPONSE_CELLS
 
-LANES = 256  # of a program
+RESPONSE_LANES = 256  # of a program
 
 
 @triton.jit
@@ -33,7 +33,9 @@ def blurred(pictures: Tensor, weights: Tensor) -> Tensor:
     _, height, width, colours = pictures.shape
     for length, step in ((height, width * colours), (width, colours)):
         out, count = torch.empty_like(pictures), pictures.numel()
-        _averaged[triton.cdiv(count, LANES),](pictures, weights, out, count, length, step, len(weights) - 1, LANES)
+        _averaged[triton.cdiv(count, RESPONSE_LANES),](
+            pictures, weights, out, count, length, step, len(weights) - 1, RESPONSE_LANES
+        )
         pictures = out
     return pictures
 
@@ -76,9 +78,10 @@ def counted(
     """
     (frames, height, width, _), numbers = radiance.shape, drawn.shape[1]
     out = torch.empty(radiance.shape, dtype=torch.uint8, device=radiance.device)
-    grid = triton.cdiv(height * width, LANES), frames
+    grid = triton.cdiv(height * width, RESPONSE_LANES), frames
     _counted[grid](
-        radiance, mix, fall, grain, drawn, quantiles, steps, counts, out, height * width, numbers, numbers > 0, CELLS,
-        LANES,
+        radiance, mix, fall, grain, drawn, quantiles, steps, counts, out, height * width, numbers, numbers > 0,
+        RESPONSE_CELLS,
+        RESPONSE_LANES,
     )  # fmt: skip
     return out

@@ -85,7 +85,7 @@ def test_a_solution_is_labelled_without_another_coarse_solve(
     on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (row,) = planned(tmp_path, "press: {force_n: 1, frames: 1}").rows
-    (tmp_path / cuda_engine.FOLDER).mkdir()
+    (tmp_path / cuda_engine.SOLUTIONS_FOLDER).mkdir()
     with ThreadPoolExecutor(1) as solving:
         (part,) = cuda_engine._begun([row], tmp_path, ["cpu"], solving, 1, map, 0, True)
         assert part.result() == ((), [])
@@ -144,7 +144,9 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
     waited = list[bool]()
 
     def solve(folder: Path) -> cuda_engine.SolvedPart:
-        solution_file.write(folder / cuda_engine.FOLDER / f"{second.name}.npz", SolvedScene("", why="solved first"))
+        solution_file.write(
+            folder / cuda_engine.SOLUTIONS_FOLDER / f"{second.name}.npz", SolvedScene("", why="solved first")
+        )
         end = time.monotonic() + 60
         while not (out / f"{second.name}.h5").exists() and time.monotonic() < end:
             time.sleep(0.05)
@@ -163,7 +165,7 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
     assert "solved first" in read(out / f"{second.name}.h5").attrs["notes"]
     assert "stopped before this scene" in read(out / f"{first.name}.h5").attrs["notes"]
     assert "all solved" in [event["note"] for event in events if event["event"] == "note"]
-    assert not (out / cuda_engine.FOLDER).exists()
+    assert not (out / cuda_engine.SOLUTIONS_FOLDER).exists()
 
 
 def test_scenes_that_are_put_off_are_solved_together_at_last(
@@ -196,7 +198,7 @@ def test_scenes_that_are_put_off_are_solved_together_at_last(
         bundle = read(tmp_path / "out" / f"{name}.h5")
         assert bundle.attrs["solver"].startswith("batch engine on cpu, torch ")
         assert "CPU engine" not in bundle.attrs.get("notes", "")
-    assert not (tmp_path / "out" / cuda_engine.FOLDER).exists()
+    assert not (tmp_path / "out" / cuda_engine.SOLUTIONS_FOLDER).exists()
 
 
 def test_chunks_whose_scenes_are_all_put_off_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,13 +210,15 @@ def test_chunks_whose_scenes_are_all_put_off_end(tmp_path: Path, monkeypatch: py
         if not patient:
             return cuda_engine.SolvedPart(late=[row.name])
         patiently.append(row.name)
-        solution_file.write(folder / cuda_engine.FOLDER / f"{row.name}.npz", SolvedScene("", why="of no matter"))
+        solution_file.write(
+            folder / cuda_engine.SOLUTIONS_FOLDER / f"{row.name}.npz", SolvedScene("", why="of no matter")
+        )
         return cuda_engine.SolvedPart()
 
     def begun(rows: list[Row], folder: Path, devices: object, solving: Executor, *how: Any) -> list[Any]:
         return [solving.submit(solve, row, folder, how[-1]) for row in rows]
 
-    monkeypatch.setattr(cuda_engine, "CHUNK", 1)
+    monkeypatch.setattr(cuda_engine, "MAX_PLANNED_SCENES", 1)
     monkeypatch.setattr(cuda_engine, "_begun", begun)
     monkeypatch.setattr(cuda_engine, "usable_devices", lambda: ["cpu"])
     results = batch.run(made, tmp_path / "out", engine="cuda")
@@ -236,7 +240,7 @@ def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu
         assert solutions.has(row)
         solutions.close()
         assert "a process of the batch engine died" in events[0]["note"]
-        assert not (tmp_path / cuda_engine.FOLDER).exists()
+        assert not (tmp_path / cuda_engine.SOLUTIONS_FOLDER).exists()
         waiting = Future[cuda_engine.SolvedPart]()
         with ThreadPoolExecutor(1) as ahead:
             closed = cuda_engine._Solutions([row], tmp_path, events.append)
@@ -246,13 +250,13 @@ def test_a_closed_run_writes_no_more_solutions_and_a_dead_process_is_told(on_cpu
             closed.close()
             assert made.result(10) is None
         assert waiting.cancelled()
-        assert not (tmp_path / cuda_engine.FOLDER).exists()
+        assert not (tmp_path / cuda_engine.SOLUTIONS_FOLDER).exists()
 
 
 def test_solutions_that_a_killed_run_has_left_are_not_used(on_cpu: None, tmp_path: Path) -> None:
     made, out = planned(tmp_path), tmp_path / "out"
-    (out / cuda_engine.FOLDER).mkdir(parents=True)
-    left = out / cuda_engine.FOLDER / f"{made.rows[0].name}.npz"
+    (out / cuda_engine.SOLUTIONS_FOLDER).mkdir(parents=True)
+    left = out / cuda_engine.SOLUTIONS_FOLDER / f"{made.rows[0].name}.npz"
     solution_file.write(left, SolvedScene("", why="of another recipe"))
     batch.run(made, out, engine="cuda")
     assert "of another recipe" not in read(out / "scene-00000.h5").attrs.get("notes", "")
@@ -297,7 +301,7 @@ def test_states_survive_the_file(tmp_path: Path) -> None:
     assert (found.engine, found.heights) == ("an engine", (0.5, 0.25))
     for state, other in zip(states, found.states, strict=True):
         assert state.friction is None
-        for name in solution_file.NAMES:
+        for name in solution_file.STATE_FIELDS:
             value, again = getattr(state, name), getattr(other, name)
             assert type(again) is type(value.item() if isinstance(value, np.generic) else value), name
             np.testing.assert_array_equal(value, again)
@@ -314,7 +318,7 @@ def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
 def test_several_processes_solve_side_by_side_and_again_the_same_bytes(
     on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(planning, "LEAST", 1)  # scenes of a part
+    monkeypatch.setattr(planning, "MIN_PART_SCENES", 1)  # scenes of a part
     assert cuda_engine.solvers(4, 1) == 2
     for folder in ("out", "again"):
         results = batch.run(planned(tmp_path, more=TWO), tmp_path / folder, engine="cuda", workers=4)

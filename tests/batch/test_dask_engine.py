@@ -115,7 +115,7 @@ def test_what_a_user_can_mend_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         with pytest.raises(UserError, match=says) as caught:
             run(tmp_path / "out", **options)
         assert len(caught.value.lines) == 1
-    monkeypatch.setattr("tacgen.batch.dask_engine.CONNECT_S", 1)
+    monkeypatch.setattr("tacgen.batch.dask_engine.SCHEDULER_TIMEOUT_S", 1)
     start = time.monotonic()
     with pytest.raises(UserError, match=r"--scheduler tcp://127\.0\.0\.1:1: "):
         run(tmp_path / "out", engine="dask", scheduler="tcp://127.0.0.1:1")

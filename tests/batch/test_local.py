@@ -63,7 +63,7 @@ def test_memory_is_not_returned_after_each_short_scene(
 ):
     returned: list[None] = []
     monkeypatch.setattr(worker_main, "_return_memory", lambda: returned.append(None))
-    monkeypatch.setattr(worker_main, "RETURN_S", interval)
+    monkeypatch.setattr(worker_main, "MIN_MEMORY_RETURN_S", interval)
     ours, theirs = Pipe()
     for number in range(3):
         ours.send((number, tmp_path, False))
@@ -172,9 +172,9 @@ def test_workers_that_cannot_start_are_one_line(tmp_path: Path):
 
 def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyPatch):
     from tacgen.batch import worker_process
-    from tacgen.batch.worker_process import THREADS
+    from tacgen.batch.worker_process import THREAD_VARIABLES
 
-    for name in THREADS:
+    for name in THREAD_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     worker = Worker(TASK)
@@ -182,7 +182,9 @@ def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyP
     while not (environment := listed.read_bytes()):  # empty until the kernel has started the program
         time.sleep(0.01)
     worker.stop(patience=10)
-    assert {f"{name}=1" for name in THREADS[1:]} | {"OMP_NUM_THREADS=3"} <= set(environment.decode().split("\0"))
+    assert {f"{name}=1" for name in THREAD_VARIABLES[1:]} | {"OMP_NUM_THREADS=3"} <= set(
+        environment.decode().split("\0")
+    )
     monkeypatch.setenv("NUMBA_NUM_THREADS", "0")  # with which numba does not start
     assert worker_process._threads()["NUMBA_NUM_THREADS"] == "1"
 
@@ -201,7 +203,7 @@ def test_an_interrupt_is_the_parent_s_alone_from_the_first_moment():
 
 @pytest.mark.slow
 def test_a_scene_with_maps_or_pictures_gets_help_with_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tacgen.batch.local.COMPILE", "helpers.scenes:help_compiling")
+    monkeypatch.setattr("tacgen.batch.local.COMPILE_TASK", "helpers.scenes:help_compiling")
     monkeypatch.setattr("tacgen.batch.local.cores", lambda: 2)
     (bare,) = make_plan(tmp_path, 1, outputs="[force]").rows
     assert compiler_of(bare, tmp_path) is None

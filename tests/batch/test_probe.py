@@ -13,7 +13,7 @@ from tacgen.batch import probe, worker_process
 @pytest.mark.usefixtures("kept_workers")
 def test_a_few_scenes_judge_all(tmp_path: Path):
     found = probe.probe(make_plan(tmp_path, 40), 2, TASK)
-    assert found.cost.judged_by == probe.SCENES
+    assert found.cost.judged_by == probe.MAX_TIMED_SCENES
     assert found.cost.seconds.expected > 0
     assert 0.01 < found.memory_gb < 4
     size = found.cost.gigabytes
@@ -34,7 +34,7 @@ def test_where_no_scene_can_be_made_that_is_reported(tmp_path: Path, monkeypatch
 
 
 def test_scenes_that_take_long_are_judged_by_their_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(probe, "ENOUGH_S", 0.2)
+    monkeypatch.setattr(probe, "TIMING_S", 0.2)
     events: list[dict[str, object]] = []
     begun = time.monotonic()
     found = probe.probe(make_plan(tmp_path, 2), 1, "helpers.scenes:endless", on_event=events.append)

@@ -9,7 +9,7 @@ import pytest
 from helpers.scenes import make_plan
 
 from tacgen.batch.local import _Batch
-from tacgen.batch.scene_order import LEAST, WINDOW, SceneOrder
+from tacgen.batch.scene_order import COMPARED_SCENES, MIN_SCENES_FOR_PREDICTION, SceneOrder
 from tacgen.bundle.resume import SceneResult
 
 
@@ -37,7 +37,7 @@ def excess(plan: list[Scene], workers: int, learning: bool) -> float:
     order, waiting, busy, now = SceneOrder(), list(plan), list[tuple[float, int, Scene]](), 0.0
     while waiting or busy:
         while waiting and len(busy) < workers:
-            at = order.longest(waiting[:WINDOW]) if learning else 0  # type: ignore[arg-type]
+            at = order.longest(waiting[:COMPARED_SCENES]) if learning else 0  # type: ignore[arg-type]
             scene = waiting.pop(at)
             heapq.heappush(busy, (now + scene.seconds, len(waiting), scene))
         now, _, scene = heapq.heappop(busy)
@@ -53,7 +53,10 @@ def test_a_batch_ends_sooner_with_long_scenes_first() -> None:
 
 def test_the_plans_order_is_kept_until_enough_is_known() -> None:
     order, plan = SceneOrder(), scenes(0, 40)
-    known, waiting = sorted(plan[:LEAST], key=lambda scene: scene.seconds), plan[LEAST:]
+    known, waiting = (
+        sorted(plan[:MIN_SCENES_FOR_PREDICTION], key=lambda scene: scene.seconds),
+        plan[MIN_SCENES_FOR_PREDICTION:],
+    )
     for scene in known[:-1]:
         order.learn(scene, {"solve": scene.seconds})  # type: ignore[arg-type]
         assert order.longest(waiting) == 0  # type: ignore[arg-type]
@@ -74,6 +77,6 @@ def test_a_batch_learns_from_its_results(in_order: bool, tmp_path: Path) -> None
         taken.append(job.row.values["start.x_mm"])
         batch.settle(job, "done", SceneResult(job.row.name, tmp_path, "ok", "", 12, {"solve": np.exp(taken[-1])}))
     planned = [row.values["start.x_mm"] for row in rows]
-    assert taken[:LEAST] == planned[:LEAST]
+    assert taken[:MIN_SCENES_FOR_PREDICTION] == planned[:MIN_SCENES_FOR_PREDICTION]
     assert (taken == planned) == in_order
-    assert in_order or taken[LEAST:] == sorted(planned[LEAST:], reverse=True)
+    assert in_order or taken[MIN_SCENES_FOR_PREDICTION:] == sorted(planned[MIN_SCENES_FOR_PREDICTION:], reverse=True)

@@ -36,7 +36,7 @@ def rows() -> list[Row]:
 @pytest.fixture(autouse=True)
 def one_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """One instead of several, which learns from less in fewer steps."""
-    for name, less in (("MEMBERS", 1), ("MOST", 1000), ("STEPS", 200)):
+    for name, less in (("ENSEMBLE_SIZE", 1), ("TRAINING_SAMPLES", 1000), ("MAX_LBFGS_STEPS", 200)):
         monkeypatch.setattr(normal_net, name, less)
 
 
@@ -95,8 +95,8 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     monkeypatch.setattr(real, "drawn", drawn)
     monkeypatch.setattr(real, "photographed", photographed)
     monkeypatch.setattr(real.plan, "load", lambda path: SimpleNamespace(rows=rows))
-    monkeypatch.setattr(normal_net, "MOST", 500)
-    monkeypatch.setattr(normal_net, "STEPS", 100)
+    monkeypatch.setattr(normal_net, "TRAINING_SAMPLES", 500)
+    monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 100)
     table = real.population(lambda text: None)
     assert [row[0] for row in table.rows] == names
     assert all(len(row) == 3 + len(real.TRAINED) for row in table.rows)
@@ -128,7 +128,7 @@ def test_dots_are_not_smoothed_into_what_is_seen() -> None:
     seen = photographs.without(PictureOfPress(change, where, slopes, slopes), hidden)
     assert not (seen.where & hidden).any()
     assert len(seen.slopes) == seen.where.sum() == len(seen.features)
-    assert seen.features[:, :3] * normal_net.COUNTS == pytest.approx(20.0)
+    assert seen.features[:, :3] * normal_net.COUNTS_PER_INPUT_UNIT == pytest.approx(20.0)
 
 
 def test_dots_are_found_in_uneven_light() -> None:

@@ -413,4 +413,4 @@ def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(
         write(tmp_path / "x.h5", solver="a solver")
     assert caught.value.errno == errno.EIO
     assert os.listdir(tmp_path) == []
-    assert schema.FORMAT == 1
+    assert schema.BUNDLE_FORMAT == 1

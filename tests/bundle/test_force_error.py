@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import tacgen
 from tacgen.bundle.bundle import read
-from tacgen.bundle.force_error import BY_INPUTS, BY_MESH, force_error
+from tacgen.bundle.force_error import ERROR_BY_MESH, STD_BY_UNCERTAINTY, force_error
 from tacgen.cli import main as cli
 from tacgen.mechanics.expected_error import expected_force_error
 from tacgen.mechanics.face_overlap import Overlap
@@ -29,7 +29,7 @@ def test_a_scene_has_the_error_that_its_mesh_gives(frames: tacgen.Frames, tmp_pa
     assert frames.force_error == pytest.approx(relative * np.linalg.norm(frames.force, axis=1))
     path = frames.save(tmp_path / "scene.h5")
     said = CliRunner().invoke(cli.app, ["show", str(path)]).stdout
-    assert f"N on the gel, \N{PLUS-MINUS SIGN} about {frames.force_error[1]:.1g} N ({BY_MESH})" in said
+    assert f"N on the gel, \N{PLUS-MINUS SIGN} about {frames.force_error[1]:.1g} N ({ERROR_BY_MESH})" in said
     page = tmp_path / "view.html"
     assert CliRunner().invoke(cli.app, ["view", str(path), "-o", str(page)]).exit_code == 0
     assert f"\\u00b1 about {frames.force_error[1]:.1g} N" in page.read_text()
@@ -39,7 +39,7 @@ def test_the_uncertainty_that_was_asked_for_comes_first() -> None:
     both = {"/frames/uncertainty/force": np.array([[0.3, 0.0, 0.4]]), "/frames/force": np.array([[0.0, 0.0, -1.0]])}
     error = force_error(both | {"/frames/quality/expected_force_error": np.array([0.01])})  # type: ignore[arg-type]
     assert error is not None
-    assert error.kind == BY_INPUTS
+    assert error.kind == STD_BY_UNCERTAINTY
     assert error.newton == pytest.approx(0.5)
     assert error.text(0) == "\N{PLUS-MINUS SIGN} about 0.5 N"
 

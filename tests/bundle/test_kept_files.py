@@ -95,7 +95,7 @@ def test_what_ships_with_tacgen_is_not_kept_and_of_what_is_too_large_a_note_tell
     row = small_recipe.row(small_recipe.PRESS, f"indenter={{shape: mesh, file: {file}}}")
     assert kept_files.of(row).keys() == {MESH}
     assert kept_files.note(row) == ""
-    monkeypatch.setattr(kept_files, "LARGEST", 1000)
+    monkeypatch.setattr(kept_files, "MAX_KEPT_BYTES", 1000)
     assert kept_files.of(row) == {}
     assert kept_files.note(row).startswith("ring.stl is larger than 0.001 MB and not in the bundle: keep it")
 

@@ -8,5 +8,5 @@ from tacgen.calibrate import normal_net
 @pytest.fixture(autouse=True)
 def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the tests compare is several times larger than the loss of accuracy."""
-    monkeypatch.setattr(normal_net, "STEPS", 60)
-    monkeypatch.setattr(normal_net, "MEMBERS", 1)
+    monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 60)
+    monkeypatch.setattr(normal_net, "ENSEMBLE_SIZE", 1)

@@ -31,7 +31,7 @@ PRESSES = ((4.0, (30, 28), 15.0), (3.0, (52, 40), 14.0), (4.0, (45, 20), 15.0), 
 
 def photographed(unit: Sensor, folder: Path, presses: Any = PRESSES) -> Path:
     """A folder of photographs of a unit, with its noise if it has any."""
-    made, camera = images.Renderer(unit, 64, 0, False, mitsuba_variants.SCALAR), PinholeCamera.from_sensor(unit)
+    made, camera = images.Renderer(unit, 64, 0, False, mitsuba_variants.SCALAR_VARIANT), PinholeCamera.from_sensor(unit)
     folder.mkdir(exist_ok=True)
     Image.fromarray(made.develop(made.flat())).save(folder / "background.png")
     with (folder / "presses.csv").open("w", newline="") as file:
@@ -60,9 +60,9 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def few_dents(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests that look whether normals are judged, not at their error: the network learns from few."""
-    monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.STEPS", 20)
+    monkeypatch.setattr("tacgen.calibrate.likeness.TRAINING_DENTS", 4)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.TRAINING_SAMPLES", 500)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.MAX_LBFGS_STEPS", 20)
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_dots_are_left_out(tmp_path: Path) -> None:
     dotted = sensor(camera=FINE)
     path = written(dotted, tmp_path / "dotted.yaml")
     unit = sensor(leds=[{**led, "power": 0.8} for led in PLAIN["leds"]], camera=FINE)
-    made = images.Renderer(unit, 64, 0, True, mitsuba_variants.SCALAR)
+    made = images.Renderer(unit, 64, 0, True, mitsuba_variants.SCALAR_VARIANT)
     Image.fromarray(made.develop(made.flat())).save(tmp_path / "background.png")
     found = optics.optics(str(path), tmp_path).fitted
     assert [sum(led.radiance) for led in found.sensor.leds] == pytest.approx([7.2] * 3, rel=0.04)
@@ -148,7 +148,7 @@ def test_dots_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr("tacgen.calibrate.fit_scattering.SPP", 6)
+    monkeypatch.setattr("tacgen.calibrate.fit_scattering.FIT_SPP", 6)
     panel = {**cloudy().leds[0].model_dump(), "size_mm": [6, 10]}
     leds = [{**panel, "name": name, "center_mm": [x, 0, -4.35]} for name, x in (("left", -3), ("right", 3))]
     path = written(cloudy(leds=leds), tmp_path / "cloudy.yaml")
@@ -166,8 +166,8 @@ def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Photographs of a unit whose press is 4 % deeper than its table says."""
-    monkeypatch.setattr("tacgen.calibrate.fit_scattering.SPP", 6)
-    monkeypatch.setattr("tacgen.calibrate.fit_scattering.FACTORS", (0.96, 1.0, 1.04))
+    monkeypatch.setattr("tacgen.calibrate.fit_scattering.FIT_SPP", 6)
+    monkeypatch.setattr("tacgen.calibrate.fit_scattering.DEPTH_FACTORS", (0.96, 1.0, 1.04))
     table = {"change_mm": (-1.0, 0.0, 0.3), "gain": ((0.6, 0.7, 0.8), (1, 1, 1), (1.3, 1.2, 1.1)), "source": "test"}
     camera = {"width_px": 80, "height_px": 64, "mm_per_px": 0.1, "vignette_mm": None}
     path = written(cloudy(camera=camera), tmp_path / "cloudy.yaml")
@@ -303,7 +303,7 @@ def test_a_brighter_unit_is_found_by_presses_of_known_depth_or_force_on_a_dome(
     unit = sensor(gel=DOME, camera=FINE, markers=None, leds=[{**led, "power": 1.3} for led in PLAIN["leds"]])
     path = written(sensor(gel=DOME, camera=FINE, markers=None), tmp_path / "file.yaml")
     folder = photographed(unit, tmp_path / "unit", ())
-    made, rows = images.Renderer(unit, 16, 0, False, mitsuba_variants.SCALAR), []
+    made, rows = images.Renderer(unit, 16, 0, False, mitsuba_variants.SCALAR_VARIANT), []
     for k, (ball, center, _) in enumerate(PRESSES[:2]):
         known = {"depth": value, "force": None} if column == "depth_mm" else {"depth": None, "force": value}
         press = photos.PhotographedPress("", np.zeros(0), ball, center, None, **known)

@@ -5,7 +5,7 @@ import pytest
 from helpers.tiny import cloudy
 
 from tacgen.calibrate import fit_scattering
-from tacgen.calibrate.fit_scattering import CHANGES, RenderedPress, Renders
+from tacgen.calibrate.fit_scattering import GAIN_THICKNESS_CHANGES_MM, RenderedPress, Renders
 from tacgen.optics import scattering
 from tacgen.sensor.model import ThicknessResponse
 
@@ -18,8 +18,8 @@ def press(spread: float) -> tuple[RenderedPress, ThicknessResponse]:
     r = np.hypot(x, y)
     change = np.where(r < 2, 0.35 * r**2 - 1.4, 0.3 * (r - 2) * np.exp(-(r - 2)))
     change[:, :4] = np.nan
-    gain = [(1 + 0.2 * c, 1 + 0.3 * c, 1 + 0.4 * c) for c in CHANGES]
-    truth = ThicknessResponse(change_mm=CHANGES, gain=tuple(gain), spread_mm=spread, source="test")
+    gain = [(1 + 0.2 * c, 1 + 0.3 * c, 1 + 0.4 * c) for c in GAIN_THICKNESS_CHANGES_MM]
+    truth = ThicknessResponse(change_mm=GAIN_THICKNESS_CHANGES_MM, gain=tuple(gain), spread_mm=spread, source="test")
     own = np.repeat(1 + 0.05 * np.nan_to_num(change).reshape(-1, 1), 3, axis=1)
     wanted = own * scattering.gains(truth, change, MM_PER_PX).reshape(-1, 3)
     return RenderedPress(change, MM_PER_PX, own, wanted, np.ones(change.size, bool)), truth
@@ -27,18 +27,23 @@ def press(spread: float) -> tuple[RenderedPress, ThicknessResponse]:
 
 @pytest.mark.parametrize("spread", [0.0, 0.2])
 def test_gain_and_spread_are_found(spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit_scattering, "FACTORS", (1.0,))
-    monkeypatch.setattr(fit_scattering, "SPREADS", (0.0, 0.1, 0.2, 0.3))
+    monkeypatch.setattr(fit_scattering, "DEPTH_FACTORS", (1.0,))
+    monkeypatch.setattr(fit_scattering, "GAIN_SPREADS_MM", (0.0, 0.1, 0.2, 0.3))
     seen, truth = press(spread)
     renders = object.__new__(Renders)
     renders.camera, renders.linear = cloudy().camera, np.full((seen.change.size, 3), 0.4)
-    renders.file, renders.seen, renders.spread, renders._kept = np.ones((len(CHANGES), 3)), [[seen]], 0.0, {}
+    renders.file, renders.seen, renders.spread, renders._kept = (
+        np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3)),
+        [[seen]],
+        0.0,
+        {},
+    )
     off, found, _ = renders.best([0], 1e-6)
     assert off < 0.2
     assert found.spread_mm == spread
-    there = [k for k, change in enumerate(CHANGES) if -1.3 < change < 0.1]
+    there = [k for k, change in enumerate(GAIN_THICKNESS_CHANGES_MM) if -1.3 < change < 0.1]
     assert np.array(found.gain)[there] == pytest.approx(np.array(truth.gain)[there], abs=0.01)
-    assert found.gain[CHANGES.index(0.0)] == (1.0, 1.0, 1.0)
+    assert found.gain[GAIN_THICKNESS_CHANGES_MM.index(0.0)] == (1.0, 1.0, 1.0)
 
 
 def test_a_gain_that_spreads_turns_a_step_into_a_slope_and_keeps_its_mean() -> None:

@@ -19,7 +19,7 @@ CIRCLES = ((3.0, (30.0, 28.0), 15.0), (2.5, (52.0, 40.0), 12.0), (3.0, (45.0, 20
 def one_network():
     """One instead of several."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(normal_net, "MEMBERS", 1)
+        patch.setattr(normal_net, "ENSEMBLE_SIZE", 1)
         yield
 
 
@@ -67,7 +67,7 @@ def test_half_the_change_is_reported(compared, unit, alike):
 
 def test_a_network_learns_a_plain_function(monkeypatch):
     """The slope of its loss is right; without steps it does not learn."""
-    monkeypatch.setattr(normal_net, "STEPS", 300)
+    monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 300)
     random, presses = np.random.default_rng(1), []
     for _ in range(60):
         features = random.uniform(-1, 1, (100, 5))
@@ -79,14 +79,14 @@ def test_a_network_learns_a_plain_function(monkeypatch):
 
     learnt = off()
     assert learnt < 0.04
-    monkeypatch.setattr(normal_net, "STEPS", 0)
+    monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 0)
     assert off() > 5 * learnt
 
 
 @pytest.mark.slow
 def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
     """The decay by press: with that of 192 presses, a network of five finds them better, and others worse."""
-    monkeypatch.setattr(normal_net, "STEPS", 300)
+    monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 300)
     few, others = list(compared.dents(0.75, 5)), list(compared.dents(0.75, 16, seed=1))
 
     def off() -> list[float]:
@@ -94,7 +94,7 @@ def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
         return [float(np.mean([one.off(net.normals(one.features)) for one in part])) for part in (few, others)]
 
     held = off()
-    monkeypatch.setattr(normal_net, "DECAY", normal_net.DECAY * 5 / likeness.DENTS)
+    monkeypatch.setattr(normal_net, "WEIGHT_DECAY", normal_net.WEIGHT_DECAY * 5 / likeness.TRAINING_DENTS)
     loose = off()
     assert loose[0] < held[0] / 2
     assert loose[1] > 1.2 * held[1]
@@ -103,13 +103,13 @@ def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
 @pytest.mark.slow
 def test_noise_in_training_makes_the_network_smooth(monkeypatch):
     """Normals that turn to and fro within few counts are learnt as their mean, which bears a colour that is off."""
-    monkeypatch.setattr(normal_net, "STEPS", 300)
-    monkeypatch.setattr(normal_net, "DECAY", 1e-5)
+    monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 300)
+    monkeypatch.setattr(normal_net, "WEIGHT_DECAY", 1e-5)
     features = np.random.default_rng(1).uniform(-1, 1, (4000, 5))
-    waves = np.sin(2 * np.pi * normal_net.COUNTS / 60 * features[:, 0])  # of 60 counts
+    waves = np.sin(2 * np.pi * normal_net.COUNTS_PER_INPUT_UNIT / 60 * features[:, 0])  # of 60 counts
 
     def learnt(noise: float) -> float:
-        monkeypatch.setattr(normal_net, "NOISE", noise)
+        monkeypatch.setattr(normal_net, "TRAINING_NOISE_COUNTS", noise)
         net = normal_net.NormalNet.trained([(features, np.column_stack([waves / 3, 0 * waves]))])
         return float(3 * np.mean(net.normals(features)[:, 0] * waves) / np.mean(waves**2))
 
@@ -119,7 +119,7 @@ def test_noise_in_training_makes_the_network_smooth(monkeypatch):
 
 @pytest.mark.slow
 def test_several_networks_that_differ_are_averaged(compared, monkeypatch):
-    monkeypatch.setattr(normal_net, "MEMBERS", 2)
+    monkeypatch.setattr(normal_net, "ENSEMBLE_SIZE", 2)
     dents = list(compared.dents(0.75, 20))
     net, features = likeness.learned(dents), dents[0].features
     one, other = (normal_net.NormalNet((member,)).normals(features) for member in net.members)
@@ -129,9 +129,9 @@ def test_several_networks_that_differ_are_averaged(compared, monkeypatch):
 
 def test_changes_are_smoothed_and_places_are_not():
     """White noise has 1 / (2 sqrt(pi) SMOOTH) of its standard deviation left."""
-    noise = np.random.default_rng(0).normal(0, normal_net.COUNTS, (80, 100, 3))
+    noise = np.random.default_rng(0).normal(0, normal_net.COUNTS_PER_INPUT_UNIT, (80, 100, 3))
     found = normal_net.features(noise, np.ones((80, 100), bool))
-    assert found[:, :3].std() == pytest.approx(1 / (2 * np.sqrt(np.pi) * normal_net.SMOOTH), rel=0.1)
+    assert found[:, :3].std() == pytest.approx(1 / (2 * np.sqrt(np.pi) * normal_net.CHANGE_BLUR_PX), rel=0.1)
     assert (found[0, 3], found[-1, 3]) == pytest.approx((-0.99, 0.99))
     assert (found[0, 4], found[-1, 4]) == pytest.approx((-0.79, 0.79))
 

@@ -155,7 +155,7 @@ def drifting(folder: Path, shape: str) -> tuple[Path, Path]:
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> unit.Asked:
     monkeypatch.setattr(ball_dents, "solved", partial(formula, deepest=3.6))
-    monkeypatch.setattr(press_colours, "COMPARED", 150)
+    monkeypatch.setattr(press_colours, "COMPARED_PIXELS", 150)
     return unit.Asked(thickness=False, lights=False)
 
 

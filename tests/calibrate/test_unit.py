@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from tacgen.calibrate import ball_dents, fit_unit, press_colours
 from tacgen.calibrate import unit as calibration
-from tacgen.calibrate.ball_dents import SCALED, Dents, with_thickness
+from tacgen.calibrate.ball_dents import DENT_RADII, Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge
 from tacgen.calibrate.light_equations import FitLimits
 from tacgen.calibrate.press_colours import PressView
@@ -30,8 +30,8 @@ PLACES = ((0.0, 0.0), (0.8, -0.5), (-0.7, 0.6), (0.4, 0.5), (-0.5, -0.4), (0.2, 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few pixels and few thicknesses."""
-    monkeypatch.setattr(press_colours, "COMPARED", 300)
-    monkeypatch.setattr(fit_unit, "FACTORS", (0.7, 0.85, 1.0, 1.2, 1.44))
+    monkeypatch.setattr(press_colours, "COMPARED_PIXELS", 300)
+    monkeypatch.setattr(fit_unit, "THICKNESS_FACTORS", (0.7, 0.85, 1.0, 1.2, 1.44))
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +44,12 @@ def formula(one: LitSensor, ball: float, at: Any = None, widest: float = 0.0, *_
     """Presses by a formula whose face and force depend on the thickness as those of solved ones do: the face falls
     steeper and bulges more around the contact of a thin gel."""
     thick, depth = one.gel.thickness_mm, np.geomspace(0.02, deepest, 9)
-    inside, slope = 1.2, np.zeros((9, len(SCALED)))
+    inside, slope = 1.2, np.zeros((9, len(DENT_RADII)))
     for k, d in enumerate(depth):
-        away = (SCALED - inside) * np.sqrt(ball * d) / thick
+        away = (DENT_RADII - inside) * np.sqrt(ball * d) / thick
         beyond = inside * np.exp(-6 * away) - 1.5 * np.sqrt(ball * d) / thick * away * np.exp(-3 * away)
-        slope[k] = np.where(inside > SCALED, SCALED, beyond)
-    steps = (slope[:, 1:] + slope[:, :-1]) / 2 * np.diff(SCALED)
+        slope[k] = np.where(inside > DENT_RADII, DENT_RADII, beyond)
+    steps = (slope[:, 1:] + slope[:, :-1]) / 2 * np.diff(DENT_RADII)
     drop = -np.cumsum(np.pad(steps, ((0, 0), (0, 1)))[:, ::-1], axis=1)[:, ::-1]
     modulus = one.gel.layers[0].model_dump()["youngs_modulus_mpa"]
     force = 20 * modulus * np.sqrt(ball) * depth**1.5 * (1 + 2 * ball * depth / thick**2)
@@ -59,8 +59,8 @@ def formula(one: LitSensor, ball: float, at: Any = None, widest: float = 0.0, *_
 def painted(one: LitSensor, thick: float, presses: list[tuple[float, float, float]]) -> list[np.ndarray]:
     """Changes of pictures (H, W, 3) [counts] with colours that no press tells."""
     with pytest.MonkeyPatch.context() as patch:  # all pixels
-        patch.setattr(press_colours, "COMPARED", 1e9)
-        patch.setattr(press_colours, "RIM", 0.0)
+        patch.setattr(press_colours, "COMPARED_PIXELS", 1e9)
+        patch.setattr(press_colours, "OMITTED_RIM_SHARE", 0.0)
         view = PressView(one)
     colours = np.random.default_rng(1).uniform(-60, 60, (12, 3))
     colours[:2], colours[2:5], colours[-4:] = [[90, -20, 30], [10, 80, -70]], colours[2:5] / 4, 0.0
@@ -79,7 +79,7 @@ def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.
     changes = [c + random.normal(0, 1.5, c.shape) for c in painted(one, thick, presses(depths))]
     groups = range(len(depths)) if gauge is None else gauge.recording
     pictures = [view.picture(c, 0.0 * c, BALL, int(g)) for c, g in zip(changes, groups, strict=True)]
-    dents = [{BALL: formula(with_thickness(one, f * one.gel.thickness_mm), BALL)} for f in fit_unit.FACTORS]
+    dents = [{BALL: formula(with_thickness(one, f * one.gel.thickness_mm), BALL)} for f in fit_unit.THICKNESS_FACTORS]
     if gauge is None:
         true = ZERO + MODULUS * formula(with_thickness(one, thick), BALL).force_at(depths)
         read = true + random.normal(0, 0.01 * true.max(), len(true))
@@ -115,7 +115,7 @@ def test_the_lag_of_a_gauge_is_found_and_does_not_shift_the_modulus(unit: LitSen
 @pytest.mark.slow
 def test_a_recording_with_another_contrast_tells_it_by_its_own_pictures(unit: LitSensor) -> None:
     view, thick, random = PressView(unit), 3.0, np.random.default_rng(0)
-    dents = [{BALL: formula(with_thickness(unit, f * 3.0), BALL)} for f in fit_unit.FACTORS[1:4]]
+    dents = [{BALL: formula(with_thickness(unit, f * 3.0), BALL)} for f in fit_unit.THICKNESS_FACTORS[1:4]]
     depths = np.tile(np.linspace(0.2, 0.9, 8), 2)
     force = MODULUS * formula(with_thickness(unit, thick), BALL).force_at(depths)
     second = np.arange(16) >= 8

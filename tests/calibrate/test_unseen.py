@@ -24,9 +24,9 @@ from .test_calibrate import FINE, PLAIN, PRESSES, photographed, written
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
-    monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.MEMBERS", 1)
+    monkeypatch.setattr("tacgen.calibrate.likeness.TRAINING_DENTS", 4)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.TRAINING_SAMPLES", 500)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.ENSEMBLE_SIZE", 1)
 
 
 def calibrate(folder: Path, unit: Any, *options: str) -> Any:
@@ -69,7 +69,7 @@ def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(cou
 @pytest.mark.slow
 def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A judging fit from which no press is left out is the written one."""
-    monkeypatch.setattr(fit_lights, "RIDGES", (30.0, 3.0))
+    monkeypatch.setattr(fit_lights, "TOLERANCE_RIDGES", (30.0, 3.0))
     moved = [{**led, "center_mm": np.add(led["center_mm"], [0.2, 0.1, 0.2]).tolist()} for led in PLAIN["leds"]]
     file, unit = sensor(camera=FINE, markers=None), sensor(leds=moved, camera=FINE, markers=None)
     read = photos.read(photographed(unit, tmp_path / "unit", PRESSES[:2]), file.camera)

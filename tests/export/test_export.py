@@ -50,7 +50,7 @@ def test_the_command_writes_a_file_a_scene(source: Path, tmp_path: Path) -> None
 
 def test_the_help_names_every_format() -> None:
     """From a text of its own: the formats' table imports what starts slowly."""
-    assert sorted(cli.FORMATS.replace(" or ", ", ").split(", ")) == sorted(EXPORTERS)
+    assert sorted(cli.EXPORT_FORMATS.replace(" or ", ", ").split(", ")) == sorted(EXPORTERS)
 
 
 def test_what_cannot_be_exported_is_reported_in_one_line(source: Path, tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_splits_without_scenes_are_told(source: Path, tmp_path: Path, monkeypatc
     package = Path(exporting.__file__).parent
     texts = {kind: (package / f"{kind}.py").read_text() for kind in EXPORTERS}
     divided = {kind for kind, text in texts.items() if "bundle.splits import" in text or "split_ranges" in text}
-    assert divided == set(exporting.DIVIDED)
+    assert divided == set(exporting.SPLIT_FORMATS)
     monkeypatch.setattr(exporting, "import_module", lambda _: SimpleNamespace(write=lambda bundles, out: []))
     for kind in ("zarr", "vtkhdf"):
         done = CliRunner().invoke(cli.app, ["export", kind, str(source), "-o", str(tmp_path / kind), "--merge"])

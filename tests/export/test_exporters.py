@@ -323,8 +323,8 @@ def test_lerobot_depth_is_16_bit_in_micrometres(scene: Bundle, tables: Path) -> 
 @pytest.mark.slow
 def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     parquet = needs("pyarrow.parquet")
-    monkeypatch.setattr(lerobot, "FILE_BYTES", 1000)
-    monkeypatch.setattr(lerobot, "FILES", 1)
+    monkeypatch.setattr(lerobot, "PARQUET_FILE_BYTES", 1000)
+    monkeypatch.setattr(lerobot, "FILES_PER_FOLDER", 1)
     export.export("lerobot", folder, tmp_path)
     rows = parquet.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert [(row["data/chunk_index"], row["data/file_index"]) for row in rows] == [(0, 0), (1, 0)]
@@ -417,7 +417,7 @@ def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacki
     write(bad, outputs=frozenset({"force"}))
     if kind not in ("webdataset", "zarr"):  # which take whatever there is
         assert ": has no /frames/" in refused(bad.read_bytes())
-    monkeypatch.setattr("tacgen.bundle.bundle.FORMAT", 99)
+    monkeypatch.setattr("tacgen.bundle.bundle.BUNDLE_FORMAT", 99)
     write(bad, outputs=frozenset({"force"}))
     monkeypatch.undo()
     assert "bundle format 99" in refused(bad.read_bytes())

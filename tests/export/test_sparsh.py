@@ -95,7 +95,7 @@ def test_each_split_is_a_batch_in_files_of_some_pictures_and_any_numpy_reads_its
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """So is each untouched picture, and no sensor is mixed."""
-    monkeypatch.setattr(sparsh, "PICTURES", 7)
+    monkeypatch.setattr(sparsh, "PICTURES_PER_FILE", 7)
     made = export("sparsh", scenes, tmp_path)
     for sensor in ("digit", "gelsight"):
         lists = json.loads((tmp_path / sensor / "datasets.json").read_text())
@@ -119,6 +119,6 @@ def test_what_sparsh_cannot_use_is_refused(tmp_path: Path, folder: Path) -> None
         export("sparsh", tmp_path, tmp_path / "out")
     short: Bundle = read(folder / "scene-00000.h5")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sparsh, "LOOK_BACK", short.frames)
+        patch.setattr(sparsh, "SKIPPED_FRAMES", short.frames)
         with pytest.raises(UserError, match="needs scenes of more than 12 frames"):
             export("sparsh", folder, tmp_path / "out")

@@ -8,7 +8,7 @@ from fem.test_jacobian import CUBE, FOLDED, HEX
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements, grid_points, jacobians
-from tacgen.fem.folding_barrier import J0, FoldingBarrier
+from tacgen.fem.folding_barrier import INVERSION_BARRIER_J0, FoldingBarrier
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.mesh_quality import scaled_jacobian
 from tacgen.fem.potential import Potential, Projection
@@ -49,21 +49,21 @@ def squeezed(nodes: int, least: float) -> tuple[Array, Array, Array]:
 
 @NODES
 def test_it_begins_below_j0_and_not_before(nodes: int) -> None:
-    points, cells, x = squeezed(nodes, J0 + 1e-9)
+    points, cells, x = squeezed(nodes, INVERSION_BARRIER_J0 + 1e-9)
     energy, pat = barrier(points, cells)
     assert isinstance(energy, Potential)
     assert (energy.value(x), np.abs(energy.gradient(x)).max(), np.abs(dense(energy, x, pat)).max()) == (0, 0, 0)
     assert energy.value(points) == 0
-    points, cells, x = squeezed(nodes, J0 - 1e-3)
+    points, cells, x = squeezed(nodes, INVERSION_BARRIER_J0 - 1e-3)
     assert 0 < energy.value(x) < 1e-6 * MU
 
 
 @NODES
 @pytest.mark.parametrize("least", [0.1, 0.5, 0.9])
 def test_gradient_and_hessian_are_slopes(nodes: int, least: float) -> None:
-    points, cells, x = squeezed(nodes, least * J0)
+    points, cells, x = squeezed(nodes, least * INVERSION_BARRIER_J0)
     energy, pat = barrier(points, cells)
-    assert volumes(points, cells, x).min() == pytest.approx(least * J0)
+    assert volumes(points, cells, x).min() == pytest.approx(least * INVERSION_BARRIER_J0)
     g, H = energy.gradient(x), dense(energy, x, pat)
     assert energy.value(x) > 1e-7 * MU
     assert np.abs(g).max() > 1e-4 * MU
@@ -133,7 +133,7 @@ def test_of_many_elements_only_those_that_are_squeezed_count(nodes: int) -> None
     assert np.abs(points[13] - 0.5).max() <= 0.05
     x[13] += 0.15  # the node in the middle, toward a corner
     J = volumes(points, cells, x)
-    below = np.flatnonzero((J < J0).any(1))
+    below = np.flatnonzero((J < INVERSION_BARRIER_J0).any(1))
     assert 0 < len(below) < len(cells)
     assert J.min() > 0.005
     assert energy.value(x) > 1e-5 * MU

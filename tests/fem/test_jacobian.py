@@ -101,14 +101,14 @@ def test_it_bounds_what_a_scan_finds(nodes: int, tol: float, monkeypatch: pytest
         found, bound = scanned(rest, points, cells), least_jacobian(rest, points, cells, tol)
         assert found - tol - 1e-4 <= bound <= found + 1e-9
         with monkeypatch.context() as short:
-            short.setattr(jacobian, "DEPTH", 0)
+            short.setattr(jacobian, "MAX_SUBDIVISIONS", 0)
             divided += least_jacobian(rest, points, cells, tol) < bound
     assert divided >= 10  # else the corners alone would do
 
 
 @pytest.mark.parametrize("nodes", [8, 10])
 def test_the_pieces_of_an_element_make_up_the_whole(nodes: int):
-    pieces = jacobian.TABLES[nodes].pieces
+    pieces = jacobian.JACOBIAN_TABLES[nodes].pieces
     whole = np.random.default_rng(2).uniform(-1, 1, pieces.shape[-1])
     assert len(pieces) == 8  # of the same volume
     assert (pieces @ whole).mean() == pytest.approx(whole.mean())  # the integral is the mean of the coefficients
@@ -156,7 +156,9 @@ def test_a_tet_that_folds_between_its_nodes_is_reported():
     assert scanned(TET, SWOLLEN, QUADRATIC) - 0.01 <= least_jacobian(TET, SWOLLEN, QUADRATIC) < -0.02
 
 
-@pytest.mark.parametrize(("limit", "value"), [("DEPTH", 0), ("DEPTH", 1), ("MOST", 0)])
+@pytest.mark.parametrize(
+    ("limit", "value"), [("MAX_SUBDIVISIONS", 0), ("MAX_SUBDIVISIONS", 1), ("MAX_SUBDIVIDED_PIECES", 0)]
+)
 def test_it_is_still_a_bound_when_the_subdivision_is_cut_short(limit: str, value: int, monkeypatch: pytest.MonkeyPatch):
     for rest, points, cells in [(CUBE, np.array(FOLDED[1]) / 10, HEX), (TET, SWOLLEN, QUADRATIC)]:
         full = least_jacobian(rest, points, cells, 1e-4)

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import Elements
-from tacgen.fem.materials import EXAMPLES, Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
+from tacgen.fem.materials import EXAMPLE_LAWS, Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.recipe.loading import read_sensor
 from tacgen.recipe.scene_of_row import gel_of
 from tacgen.sensor.layers import Layer
@@ -59,8 +59,8 @@ def uniaxial(law: Law, stretch: float) -> tuple[float, float]:
 
 
 def test_every_law_can_be_written():
-    assert set(WRITTEN) == set(EXAMPLES)
-    for name, law in EXAMPLES.items():
+    assert set(WRITTEN) == set(EXAMPLE_LAWS)
+    for name, law in EXAMPLE_LAWS.items():
         assert type(layer(name).material()) is type(law)
 
 

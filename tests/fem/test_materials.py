@@ -1,4 +1,4 @@
-"""Every law in EXAMPLES by existing: derivatives, stress, stiffness, projection."""
+"""Every law in EXAMPLE_LAWS by existing: derivatives, stress, stiffness, projection."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from helpers.small import dense, distorted, slope, turn, whole
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import Elements, elements
-from tacgen.fem.materials import EXAMPLES, Law
+from tacgen.fem.materials import EXAMPLE_LAWS, Law
 from tacgen.fem.potential import Projection
 
 Array = np.ndarray
@@ -40,35 +40,35 @@ def gradients_away_from_rest() -> list[Array]:
 
 def test_the_laws_differ() -> None:
     far = np.diag([1.6, 0.7, 1.0])
-    energies = [simplex(law).value(np.concatenate([np.zeros((1, 3)), far])) for law in EXAMPLES.values()]
+    energies = [simplex(law).value(np.concatenate([np.zeros((1, 3)), far])) for law in EXAMPLE_LAWS.values()]
     assert np.diff(sorted(energies)).min() > 1e-5
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_moduli_at_rest(name: str) -> None:
     """No stress at rest; shear and bulk moduli are the ones asked for."""
     x = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    assert simplex(EXAMPLES[name]).value(x) == pytest.approx(0, abs=1e-15)
-    assert simplex(EXAMPLES[name]).gradient(x) == pytest.approx(np.zeros((4, 3)), abs=1e-15)
-    D = material_tangent(EXAMPLES[name], np.eye(3)).reshape(3, 3, 3, 3)
-    mu, kappa = EXAMPLES[name].mu, EXAMPLES[name].kappa
+    assert simplex(EXAMPLE_LAWS[name]).value(x) == pytest.approx(0, abs=1e-15)
+    assert simplex(EXAMPLE_LAWS[name]).gradient(x) == pytest.approx(np.zeros((4, 3)), abs=1e-15)
+    D = material_tangent(EXAMPLE_LAWS[name], np.eye(3)).reshape(3, 3, 3, 3)
+    mu, kappa = EXAMPLE_LAWS[name].mu, EXAMPLE_LAWS[name].kappa
     assert (mu, kappa) == pytest.approx((0.05, 0.4))
     assert D[0, 1, 0, 1] == pytest.approx(mu, rel=1e-9)
     assert D[0, 0, 0, 0] == pytest.approx(kappa + 4 / 3 * mu, rel=1e-9)
     assert D[0, 0, 1, 1] == pytest.approx(kappa - 2 / 3 * mu, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_nodal_forces_are_the_slope_of_the_energy(name: str) -> None:
-    potential, x = hex_of(EXAMPLES[name])
+    potential, x = hex_of(EXAMPLE_LAWS[name])
     g = potential.gradient(x)
     assert np.abs(g).max() > 1e-3
     assert g.ravel() == pytest.approx(slope(potential.value, x, 1e-5), abs=1e-8 * np.abs(g).max())
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_stiffness_is_the_slope_of_the_nodal_forces(name: str) -> None:
-    potential, x = hex_of(EXAMPLES[name])
+    potential, x = hex_of(EXAMPLE_LAWS[name])
     stiffness = dense(potential, x, whole(np.arange(8)[None], 8))
     size = np.abs(stiffness).max()
     assert size > 1e-2
@@ -76,9 +76,9 @@ def test_stiffness_is_the_slope_of_the_nodal_forces(name: str) -> None:
     assert stiffness == pytest.approx(by_differences, abs=1e-7 * size)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_inverted_has_infinite_energy(name: str) -> None:
-    potential, x = hex_of(EXAMPLES[name])
+    potential, x = hex_of(EXAMPLE_LAWS[name])
     assert np.isfinite(potential.value(x))
     assert potential.value(x * [1, 1, -1]) == np.inf
     flat = x.copy()
@@ -89,9 +89,9 @@ def test_inverted_has_infinite_energy(name: str) -> None:
     assert potential.value(one) == np.inf
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_rotating_the_body_rotates_its_forces(name: str) -> None:
-    potential, x = hex_of(EXAMPLES[name])
+    potential, x = hex_of(EXAMPLE_LAWS[name])
     R = turn(9)
     assert potential.value(x @ R.T) == pytest.approx(potential.value(x), rel=1e-12)
     g = potential.gradient(x)
@@ -100,21 +100,23 @@ def test_rotating_the_body_rotates_its_forces(name: str) -> None:
     assert np.cross(x, g).sum(0) == pytest.approx(np.zeros(3), abs=1e-13)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_projection_clamps_the_eigenvalues_of_the_exact_tangent(name: str) -> None:
     clamped = 0
     for F in gradients_away_from_rest():
-        exact = material_tangent(EXAMPLES[name], F)
+        exact = material_tangent(EXAMPLE_LAWS[name], F)
         values, vectors = np.linalg.eigh(exact)
         clamped += int((values < -1e-3 * values.max()).sum())
         expected = (vectors * np.maximum(values, 0)) @ vectors.T
-        assert material_tangent(EXAMPLES[name], F, Projection.FULL) == pytest.approx(expected, abs=1e-9 * values.max())
+        assert material_tangent(EXAMPLE_LAWS[name], F, Projection.FULL) == pytest.approx(
+            expected, abs=1e-9 * values.max()
+        )
     assert clamped >= 3
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_the_tangent_near_rest_is_exact_with_projection_of_strained_elements(name: str) -> None:
-    law = EXAMPLES[name]
+    law = EXAMPLE_LAWS[name]
     mild, strained = np.diag([1.02, 0.98, 0.99]), np.diag([1.5, 0.6, 1.1])
     assert material_tangent(law, mild, Projection.STRAINED) == pytest.approx(material_tangent(law, mild), abs=1e-14)
     assert material_tangent(law, strained, Projection.STRAINED) == pytest.approx(
@@ -122,9 +124,9 @@ def test_the_tangent_near_rest_is_exact_with_projection_of_strained_elements(nam
     )
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_projected_stiffness_of_a_hex_has_no_negative_eigenvalue(name: str) -> None:
-    potential, x = hex_of(EXAMPLES[name])
+    potential, x = hex_of(EXAMPLE_LAWS[name])
     pat = whole(np.arange(8)[None], 8)
     squeezed = x @ np.diag([1.5, 0.5, 0.9])
     ways = Projection.NONE, Projection.FULL
@@ -134,10 +136,10 @@ def test_projected_stiffness_of_a_hex_has_no_negative_eigenvalue(name: str) -> N
     assert projected.max() > 1e-2
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_LAWS)
 def test_cauchy_stress_gives_the_nodal_forces_back(name: str) -> None:
     """f_a = sum over points of sigma grad(N_a) dv, with gradients in the deformed body."""
-    potential, x = hex_of(EXAMPLES[name])
+    potential, x = hex_of(EXAMPLE_LAWS[name])
     sigma, volume = potential.cauchy(potential.evaluate(x))
     e = potential.elements
     F = potential.evaluate(x).F
@@ -150,12 +152,12 @@ def test_cauchy_stress_gives_the_nodal_forces_back(name: str) -> None:
 
 def test_evaluation_has_no_memory() -> None:
     """Of one body asked for stiffnesses here and there, exact and projected: to the last bit those of a new one."""
-    body, x = hex_of(EXAMPLES["neo_hooke"])
+    body, x = hex_of(EXAMPLE_LAWS["neo_hooke"])
     pat = whole(np.arange(8)[None], 8)
     near, far = x + 1e-6 * np.sin(3 * x), x + 0.05 * np.sin(3 * x)
     exact, strained, full = Projection
     for at, projection in ((x, exact), (near, exact), (far, exact), (far, full), (far, strained), (x, exact)):
-        new, _ = hex_of(EXAMPLES["neo_hooke"])
+        new, _ = hex_of(EXAMPLE_LAWS["neo_hooke"])
         assert (dense(body, at, pat, projection) == dense(new, at, pat, projection)).all()
         assert (body.gradient(at) == new.gradient(at)).all()
         assert body.value(at) == new.value(at)

@@ -8,7 +8,7 @@ from helpers.small import block, dense, slope, tetrahedral, turn, whole
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
-from tacgen.fem.materials import EXAMPLES, Law, NeoHooke, Stiffened
+from tacgen.fem.materials import EXAMPLE_LAWS, Law, NeoHooke, Stiffened
 from tacgen.fem.potential import Projection
 from tacgen.fem.viscoelasticity import Viscoelastic
 
@@ -40,7 +40,7 @@ def away(points: Array, seed: int) -> Array:
 @NODES
 def test_derivatives_are_those_of_the_energy_far_from_rest(nodes: int, name: str) -> None:
     """And the forces at its end are those of the internal variables there."""
-    viscous, points = of(nodes, EXAMPLES[name])
+    viscous, points = of(nodes, EXAMPLE_LAWS[name])
     start, x = away(points, 1), away(points, 2)
     H = viscous.after(viscous.rest(), points, start, 0.05)
     step = viscous.step(H, start, 0.1)
@@ -104,7 +104,7 @@ def test_a_block_held_squeezed_relaxes_as_in_closed_form(nodes: int) -> None:
 @NODES
 def test_it_is_elastic_in_the_limits_of_fast_and_slow(nodes: int, name: str) -> None:
     """At once by a law with twice the shear modulus, after a long time by its own, whatever came between."""
-    law = EXAMPLES[name]
+    law = EXAMPLE_LAWS[name]
     viscous, points = of(nodes, law)
     H, x = viscous.rest(), points
     for seed in range(3):
@@ -155,7 +155,7 @@ def test_the_error_falls_with_the_square_of_the_step() -> None:
 @ISOCHORIC
 def test_no_closed_cycle_gives_energy(name: str, pace: float) -> None:
     """From rest through states far apart, in steps of unequal length, and back."""
-    viscous, points = of(8, EXAMPLES[name])
+    viscous, points = of(8, EXAMPLE_LAWS[name])
     for seed in range(6):
         rng = np.random.default_rng(seed)
         H, x, work, most = viscous.rest(), points, 0.0, 0.0
@@ -168,7 +168,7 @@ def test_no_closed_cycle_gives_energy(name: str, pace: float) -> None:
 
 
 def test_rotating_the_gel_rotates_the_forces() -> None:
-    viscous, points = of(8, EXAMPLES["mooney_rivlin"])
+    viscous, points = of(8, EXAMPLE_LAWS["mooney_rivlin"])
     R, forces = turn(7), []
     for turned in (np.eye(3), R):
         H, x = viscous.rest(), points

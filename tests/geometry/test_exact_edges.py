@@ -13,7 +13,7 @@ from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, WedgeSdf
 from tacgen.geometry.exact_edges import SharpField
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.sdf_grid import Field
-from tacgen.geometry.triangle_distance import ACTS
+from tacgen.geometry.triangle_distance import MAX_CONTACT_RADII
 
 Array = np.ndarray
 RADIUS, CELL = 0.02, 0.15
@@ -85,7 +85,7 @@ SHAPES = [lambda: sharp.wedge(15), lambda: sharp.block((4, 4, 4), (1, 1, 1)), tu
 def test_gradient_and_hessian_are_slopes(make) -> None:
     """Also where the exact distance passes into the spline."""
     found, p, h = field(make()), around(-0.2, 0.8, 3000), 1e-6
-    p = p[found.value(p) < ACTS / 2 * RADIUS]  # farther away nothing needs them
+    p = p[found.value(p) < MAX_CONTACT_RADII / 2 * RADIUS]  # farther away nothing needs them
     assert len(p) > 50
     _, g, H = found.distance(p)
     steps = h * np.eye(3)

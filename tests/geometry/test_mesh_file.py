@@ -227,7 +227,7 @@ def test_limits_of_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(mesh_file, "MAX_TRIANGLES", 100)
     with pytest.raises(UserError, match="has 320 triangles, at most 100"):
         mesh_file.read(path)
-    monkeypatch.setattr(mesh_file, "MAX_FILE", 10)
+    monkeypatch.setattr(mesh_file, "MAX_MESH_FILE_BYTES", 10)
     with pytest.raises(UserError, match="cannot be read: 0 MB, at most 0 can be read"):
         mesh_file.read(path)
 

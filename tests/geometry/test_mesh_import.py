@@ -103,7 +103,7 @@ def test_the_sign_is_right_beside_slivers(cell: float):
 
 
 def test_a_grid_has_a_bounded_number_of_nodes(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(mesh_import, "MAX_NODES", 20_000)
+    monkeypatch.setattr(mesh_import, "MAX_GRID_NODES", 20_000)
     assert field(ball(2), 0.05).coefficients.size < 60_000
 
 

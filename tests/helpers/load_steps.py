@@ -14,7 +14,7 @@ def watched(
     monkeypatch: pytest.MonkeyPatch, refuse: Callable[[SolveState], NotConverged | None] = lambda now: None
 ) -> list[Leg]:
     """The load steps that will begin, in order; one for which `refuse` has a failure fails with it instead."""
-    usual, done = solver.KERNELS[Phase.start], list[Leg]()
+    usual, done = solver.PHASE_KERNELS[Phase.start], list[Leg]()
 
     def start(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
         if failure := refuse(now):
@@ -23,5 +23,5 @@ def watched(
             done.append(now.legs[0])
         return usual(problem, now)
 
-    monkeypatch.setitem(solver.KERNELS, Phase.start, start)
+    monkeypatch.setitem(solver.PHASE_KERNELS, Phase.start, start)
     return done

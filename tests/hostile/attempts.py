@@ -35,7 +35,7 @@ from tacgen.recipe import plan_table
 from tacgen.replay import log_file
 from tacgen.replay.contact_log import Conventions
 from tacgen.report import dataset_card
-from tacgen.report.field_figure import FIELDS
+from tacgen.report.field_figure import DRAWN_FIELDS
 
 SECONDS = 20  # of processor time that a reader may take
 WAIT_S = 120.0  # that pass until one that waits for something is given up; other work may keep it from the processor
@@ -216,14 +216,14 @@ READERS: dict[str, Callable[[Path], None]] = {
     "resume": resume,
     "show picture": drawn("-o", "picture.png"),
     "show film": drawn("--animate", "film.gif"),
-    **{f"show {field}": drawn("--field", field, "-o", "field.png") for field in FIELDS},
+    **{f"show {field}": drawn("--field", field, "-o", "field.png") for field in DRAWN_FIELDS},
     **{f"export {kind}": exported(kind) for kind in EXPORTERS},
 }
 
 
 def warm(source: Path) -> None:
     """Every reader once in this process, but of the drawn fields one, so that no child has to import anything."""
-    for reader in [name for name in READERS if name not in [f"show {field}" for field in list(FIELDS)[1:]]]:
+    for reader in [name for name in READERS if name not in [f"show {field}" for field in list(DRAWN_FIELDS)[1:]]]:
         with tempfile.TemporaryDirectory() as scratch, redirect_stdout(io.StringIO()), suppress(UserError):
             shutil.copytree(source / "whole", Path(scratch) / "whole")
             READERS[reader](Path(scratch) / "whole")

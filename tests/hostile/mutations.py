@@ -16,7 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tacgen.bundle.schema import STORED
+from tacgen.bundle.schema import JSON_ATTRS
 
 Mutation = Callable[[Random, Path], str]
 DEEP = "[" * 5000 + "]" * 5000
@@ -158,7 +158,7 @@ def _attribute(rng: Random, group: Any, path: Path) -> str:
 
 
 def _json_attribute(rng: Random, group: Any, path: Path) -> str:
-    name = rng.choice([name for name in STORED if name in group.attrs])
+    name = rng.choice([name for name in JSON_ATTRS if name in group.attrs])
     said, text = _spoilt(rng, group.attrs[name])
     group.attrs[name] = DEEP[:60000] if rng.random() < 0.1 else text[:60000]
     return f"{name}: {said}"

@@ -96,7 +96,11 @@ def test_damaged_measurements(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, count: int
 ) -> None:
     """Solved forces are replaced by a formula, and the network that judges normals hardly learns."""
-    for name, few in (("likeness.DENTS", 2), ("normal_net.MEMBERS", 1), ("normal_net.STEPS", 2)):
+    for name, few in (
+        ("likeness.TRAINING_DENTS", 2),
+        ("normal_net.ENSEMBLE_SIZE", 1),
+        ("normal_net.MAX_LBFGS_STEPS", 2),
+    ):
         monkeypatch.setattr(f"tacgen.calibrate.{name}", few)
     monkeypatch.setattr(press_forces, "solved", lambda row, depths: np.maximum(depths, 0) ** 1.5)
     calibrated(source, source / kind)  # what it imports and compiles, each child has

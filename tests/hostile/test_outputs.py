@@ -117,7 +117,7 @@ def test_results_of_a_replay_are_replaced_until_somebody_edits_them(name: str, m
         file.write(b"# a note")
     with pytest.raises(UserError, match=rf"{name}: is there already; --overwrite replaces it"):
         prepared()
-    if name in comparison.FILES:
+    if name in comparison.COMPARISON_FILES:
         with pytest.raises(UserError, match="is there already"):
             comparison.write(found(made, 2.0), Path("out"))
     assert content(Path("out")) == second | {name: second[name] + b"# a note"}

@@ -86,4 +86,4 @@ def test_scenes_without_contact_are_one_note(tmp_path: Path) -> None:
     )
     (note,) = scene_checks.notes(plan.load(path).rows)
     assert note.startswith("scene-00000 touches the gel in no frame: closest approach ")
-    assert note.endswith("; nor do 49 more of the first 50 scenes: a run rejects it; " + approach.KEEP)
+    assert note.endswith("; nor do 49 more of the first 50 scenes: a run rejects it; " + approach.KEEP_HINT)

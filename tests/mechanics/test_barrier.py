@@ -6,7 +6,7 @@ from helpers.small import patch, turn
 
 from tacgen.geometry.analytic_sdf import ConeSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.barrier import SOFT, Contact, barrier
+from tacgen.mechanics.barrier import PARABOLA_GAP_RATIO, Contact, barrier
 from tacgen.mechanics.coupled import dragged, onset, smooth
 
 Array = np.ndarray
@@ -47,7 +47,7 @@ def test_barrier_derivatives() -> None:
     assert barrier(inner, DHAT)[0] == pytest.approx(-DHAT * (inner / DHAT - 1) ** 2 * np.log(inner / DHAT), rel=1e-12)
 
 
-@pytest.mark.parametrize("where", [1.0, SOFT])
+@pytest.mark.parametrize("where", [1.0, PARABOLA_GAP_RATIO])
 def test_barrier_is_c2_where_its_pieces_meet(where: float) -> None:
     below, above = (barrier(np.array(DHAT * where * (1 + s * 1e-9)), DHAT) for s in (-1, 1))
     for left, right, size in zip(below, above, (DHAT, 1.0, 1 / DHAT), strict=True):

@@ -30,14 +30,14 @@ def test_kernels_fit_the_processor(vendor: str, flags: set[str], name: str) -> N
 
 def test_the_choice_is_of_cvxopt_alone_and_a_user_s_own_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blas_kernels, "_processor", lambda: ("GenuineIntel", AVX2))
-    monkeypatch.delenv(blas_kernels.CHOICE, raising=False)
+    monkeypatch.delenv(blas_kernels.OPENBLAS_VARIABLE, raising=False)
     with blas_kernels._chosen():
-        assert os.environ[blas_kernels.CHOICE] == "Haswell"
-    assert blas_kernels.CHOICE not in os.environ
-    monkeypatch.setenv(blas_kernels.CHOICE, "Nehalem")
+        assert os.environ[blas_kernels.OPENBLAS_VARIABLE] == "Haswell"
+    assert blas_kernels.OPENBLAS_VARIABLE not in os.environ
+    monkeypatch.setenv(blas_kernels.OPENBLAS_VARIABLE, "Nehalem")
     with blas_kernels._chosen():
-        assert os.environ[blas_kernels.CHOICE] == "Nehalem"
-    assert os.environ[blas_kernels.CHOICE] == "Nehalem"
+        assert os.environ[blas_kernels.OPENBLAS_VARIABLE] == "Nehalem"
+    assert os.environ[blas_kernels.OPENBLAS_VARIABLE] == "Nehalem"
 
 
 @pytest.mark.skipif("cholmod" not in available(), reason="no CVXOPT")
@@ -47,7 +47,7 @@ def test_the_library_takes_the_choice(tmp_path: Path) -> None:
         "from tacgen.mechanics import blas_kernels as b\n"
         "b.NEEDS = {'Nehalem': set()}\nb._processor = lambda: ('GenuineIntel', set())\nprint(b.report())"
     )
-    environment = {name: value for name, value in os.environ.items() if name != blas_kernels.CHOICE}
+    environment = {name: value for name, value in os.environ.items() if name != blas_kernels.OPENBLAS_VARIABLE}
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment, cwd=Path.cwd()
     )

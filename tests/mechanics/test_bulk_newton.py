@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tacgen.mechanics.bulk_newton import in_folds, next_damping, settles
-from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
-from tacgen.mechanics.options import DEFAULT
+from tacgen.mechanics.condensation import DAMPING_FACTOR, MIN_DAMPING
+from tacgen.mechanics.options import DEFAULT_OPTIONS
 from tacgen.mechanics.state import State
 
-TOLERANCE, HALF = DEFAULT.residual_tol, DEFAULT.residual_max / 2
-IN_FOLDS, LAST = DEFAULT.fold_tol, DEFAULT.fold_steps
+TOLERANCE, HALF = DEFAULT_OPTIONS.residual_tol, DEFAULT_OPTIONS.residual_max / 2
+IN_FOLDS, LAST = DEFAULT_OPTIONS.fold_tol, DEFAULT_OPTIONS.fold_steps
 
 
 @pytest.mark.parametrize(
@@ -27,13 +27,13 @@ IN_FOLDS, LAST = DEFAULT.fold_tol, DEFAULT.fold_steps
         (1.1 * IN_FOLDS, LAST - 1, 0.1, False, True, False, False),
         (1.1 * IN_FOLDS, LAST, 0.1, False, True, False, True),
         (1.1 * IN_FOLDS, LAST, 0.0, False, True, False, False),  # about to converge
-        (1.1 * DEFAULT.fold_max, 2 * LAST, 0.1, False, True, False, False),
+        (1.1 * DEFAULT_OPTIONS.fold_max, 2 * LAST, 0.1, False, True, False, False),
     ],
 )
 def test_a_step_settles(
     residual: float, folding: int, damping: float, still: bool, converged: bool, rests: bool, expected: bool
 ) -> None:
-    assert settles(DEFAULT, residual, folding, damping, still, converged, rests) is expected
+    assert settles(DEFAULT_OPTIONS, residual, folding, damping, still, converged, rests) is expected
 
 
 def test_steps_in_folds_are_counted_over_the_load_steps_of_a_frame() -> None:
@@ -45,8 +45,8 @@ def test_steps_in_folds_are_counted_over_the_load_steps_of_a_frame() -> None:
 def test_damping_follows_the_steps() -> None:
     assert next_damping(0.0, 1.0, False, True) == 0
     assert next_damping(1.0, 1.0, False, False) == 1 / DAMPING_FACTOR
-    assert next_damping(LEAST_DAMPING, 1.0, False, True) == 0
+    assert next_damping(MIN_DAMPING, 1.0, False, True) == 0
     assert next_damping(1.0, 0.5, False, True) == 1.0
     assert next_damping(1.0, 1.0, True, True) == 1.0
-    assert next_damping(0.0, 1.0, True, False) == LEAST_DAMPING
+    assert next_damping(0.0, 1.0, True, False) == MIN_DAMPING
     assert next_damping(1.0, 1.0, True, False) == DAMPING_FACTOR

@@ -276,7 +276,7 @@ def test_facets_add_their_stiffness_once_and_what_a_solver_uses_up_is_its_own() 
 def test_large_ones_are_solved_to_double_precision(columns: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """With eigenvalues of S from 1 to 5 and contact a thousand times stiffer; from single precision's factors alone the
     error would be 1e-5."""
-    rng, size = np.random.default_rng(6), condensation.SINGLE + 20
+    rng, size = np.random.default_rng(6), condensation.MIN_SINGLE_PRECISION_DOFS + 20
     S, b = stiffness(size), rng.normal(size=(size, *columns))
     added = np.diag(np.exp(rng.uniform(0, np.log(5e3), size))) + rng.normal(size=(size, size)) / 40
     exact = np.linalg.solve(S + added, b)
@@ -287,13 +287,13 @@ def test_large_ones_are_solved_to_double_precision(columns: tuple[int, ...], mon
         return float(np.linalg.norm(solved(schur, added, b, False) - exact) / np.linalg.norm(exact))
 
     assert error() < 1e-12
-    monkeypatch.setattr(condensation, "REFINED", 1.0)
+    monkeypatch.setattr(condensation, "REFINED_SOLUTION_TOL", 1.0)
     monkeypatch.setattr(condensation, "dgetrf", None)  # not needed
     assert error() < 1e-10  # refined once
 
 
 def test_a_large_one_too_ill_conditioned_for_single_precision_is_solved_in_double() -> None:
-    rng, size = np.random.default_rng(7), condensation.SINGLE
+    rng, size = np.random.default_rng(7), condensation.MIN_SINGLE_PRECISION_DOFS
     S = stiffness(size)
     q, _ = np.linalg.qr(rng.normal(size=(size, size)))
     added = q @ np.diag(np.geomspace(1e-10, 1, size)) @ q.T - S

@@ -127,7 +127,7 @@ def test_it_ends_where_it_goes_to_and_fro_over_an_edge(monkeypatch: pytest.Monke
     found = solved(to, contact)
     assert found.status is ContactStatus.circling
     assert found.steps < 40
-    monkeypatch.setattr(contact_newton, "SAME_PLACE", -1.0)
+    monkeypatch.setattr(contact_newton, "SAME_ITERATE_TOL", -1.0)
     even, odd = (solved(to, contact, max_steps=steps) for steps in (40, 41))
     assert (even.steps, odd.steps) == (40, 41)
     size = [float(np.linalg.norm(one.g)) for one in (even, odd)]

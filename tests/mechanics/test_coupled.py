@@ -10,7 +10,7 @@ from tacgen.fem.assembly import add_dense_blocks
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf, TorusSdf
 from tacgen.geometry.pose import Pose
 from tacgen.geometry.sdf_grid import Field
-from tacgen.mechanics.barrier import SOFT, Contact, barrier
+from tacgen.mechanics.barrier import PARABOLA_GAP_RATIO, Contact, barrier
 from tacgen.mechanics.coupled import ContactForces, CoupledContact, slip
 
 Array = np.ndarray
@@ -76,7 +76,7 @@ def kinds(coupled: CoupledContact, forces: ContactForces) -> list[int]:
     """How many points that touch stick, change, slip, and are in each piece of the barrier."""
     length, on = np.linalg.norm(slip(forces.at, coupled.anchor, forces.normal), axis=-1), forces.N > 0
     stuck, slips = length < 0.99 * EPS, length > 1.01 * EPS
-    soft = forces.gap < SOFT * DHAT
+    soft = forces.gap < PARABOLA_GAP_RATIO * DHAT
     return [int((on & which).sum()) for which in (stuck, ~stuck & ~slips, slips, soft, ~soft)]
 
 

@@ -11,7 +11,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, solver, states
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.condensation import Condensation, Schur
-from tacgen.mechanics.frames import RISE
+from tacgen.mechanics.frames import UNIT_RISE
 from tacgen.mechanics.phases import Outcome, Phase
 from tacgen.mechanics.predictor import predict
 from tacgen.mechanics.solve_state import Leg, SolveState
@@ -132,7 +132,7 @@ def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
     assert last.after is not None
     contact = problem.contact
     assert isinstance(contact, Contact)
-    further = Pose.of(last.pose + 0.1 * RISE)
+    further = Pose.of(last.pose + 0.1 * UNIT_RISE)
     assert predict(contact, problem.tangent, last.after, further) is not None
     condensed = problem.tangent.condensation
     touched = np.zeros(condensed.size, bool)
@@ -150,7 +150,7 @@ def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypa
     problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), TIGHT)
     *_, last = states(made, problem)
     assert last.after is not None
-    lower = last.pose - 0.05 * RISE
+    lower = last.pose - 0.05 * UNIT_RISE
     begun = solve(problem, SolveState(0, last.after, (Leg(lower, lower, np.zeros(3), np.inf),)), until=Phase.start)
     usual, x = solve(problem, begun), solve(problem, begun, until=Phase.step).begins
     assert x is not None
@@ -159,7 +159,7 @@ def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypa
     pushed = x.copy()
     pushed[far, 2] -= 0.4
     parts: list[float] = []
-    search = solver.KERNELS[Phase.search]
+    search = solver.PHASE_KERNELS[Phase.search]
 
     def seen(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
         outcome, after = search(problem, now)
@@ -170,7 +170,7 @@ def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypa
             assert step.there.energy < now.newton.at.energy + 1e-3
         return outcome, after
 
-    monkeypatch.setitem(solver.KERNELS, Phase.search, seen)
+    monkeypatch.setitem(solver.PHASE_KERNELS, Phase.search, seen)
     answer = solve(problem, replace(begun, near=replace(last, x=pushed)))
     assert min(parts) < 1
     assert answer.state is not None

@@ -12,8 +12,14 @@ from tacgen.geometry.analytic_sdf import CapsuleSdf, ConeSdf, Shape, SphereSdf, 
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.outline import Pad
 from tacgen.geometry.pose import Pose, about
-from tacgen.mechanics.expected_error import FACTOR, LARGEST, Expected, expected_force_error, frame_error
-from tacgen.mechanics.face_overlap import FEW, FaceGrid, Overlap
+from tacgen.mechanics.expected_error import (
+    ERROR_ESTIMATE_FACTOR,
+    MAX_EXPECTED_ERROR,
+    Expected,
+    expected_force_error,
+    frame_error,
+)
+from tacgen.mechanics.face_overlap import MIN_OVERLAP_POINTS, FaceGrid, Overlap
 
 PAD = Pad(25.0, 20.0)
 
@@ -44,7 +50,7 @@ def test_the_overlap_is_that_of_all_points(shape: Shape) -> None:
         pose[:3, :3] = about(np.eye(3)[0], 0.2) @ about(np.eye(3)[2], angle)
         hit = face.inside & (shape.value(Pose.of(pose).local(face.points)) < 0)
         assert hit.any()
-        few = hit.sum() < FEW  # counted on a finer grid
+        few = hit.sum() < MIN_OVERLAP_POINTS  # counted on a finer grid
         assert face.overlap(shape, pose).area == pytest.approx(hit.sum() * face.step**2, rel=0.2 if few else 1e-9)
 
 
@@ -106,7 +112,11 @@ def test_sharp_edges_add_to_it() -> None:
 def test_it_is_within_its_factor_of_what_was_measured(
     contact: Overlap, radius: float, edge: float, measured: float
 ) -> None:
-    assert measured / FACTOR < expected_force_error(edge, contact, radius) < measured * FACTOR
+    assert (
+        measured / ERROR_ESTIMATE_FACTOR
+        < expected_force_error(edge, contact, radius)
+        < measured * ERROR_ESTIMATE_FACTOR
+    )
 
 
 def test_of_a_mesh_the_radius_is_that_of_the_part_that_touches() -> None:
@@ -126,11 +136,11 @@ def test_of_a_mesh_the_radius_is_that_of_the_part_that_touches() -> None:
 def test_what_no_frame_can_resolve_is_refused_with_an_edge_that_can() -> None:
     contact = disc(0.12)
     told = Expected(expected_force_error(0.6, contact, 0.05), 0.6, contact, 0.05)
-    assert told.error > LARGEST
+    assert told.error > MAX_EXPECTED_ERROR
     with pytest.raises(
         UserError, match=r"quality: edges of 0\.6 mm are too long for a contact 0\.12 mm wide"
     ) as refused:
         told.refuse()
     fine = float(refused.value.lines[0].partition("edge_mm: ")[2].rstrip("}"))
-    assert expected_force_error(fine, contact, 0.05) < LARGEST
+    assert expected_force_error(fine, contact, 0.05) < MAX_EXPECTED_ERROR
     Expected(0.49, 0.6, contact, 0.05).refuse()

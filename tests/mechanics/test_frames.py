@@ -107,7 +107,7 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
     mended = next(states(s, soft))
     assert mended.min_gap > 0
     assert mended.traction_force.sum((0, 1))[2] == pytest.approx(usual, rel=0.05)
-    monkeypatch.setattr(load_step, "STIFFER", 1.0)
+    monkeypatch.setattr(load_step, "BARRIER_STIFFENING_FACTOR", 1.0)
     with pytest.raises(NotConverged, match="smallest gap -"):
         next(states(s, soft))
 
@@ -135,7 +135,9 @@ def test_a_step_that_fails_is_halved_and_its_parts_counted(
         assert b.traction_force.sum((0, 1)) == pytest.approx(a.traction_force.sum((0, 1)), abs=2e-3)
 
 
-@pytest.mark.parametrize(("kind", "times"), [(Failure.singular, 3), (Failure.too_far, load_stepping.TOO_FAR)])
+@pytest.mark.parametrize(
+    ("kind", "times"), [(Failure.singular, 3), (Failure.too_far, load_stepping.MAX_TUNNELLING_HALVINGS)]
+)
 def test_halving_ends(kind: Failure, times: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 

@@ -9,7 +9,15 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
-from tacgen.mechanics.linear_solvers import SOLVERS, Cholmod, NotPositiveDefinite, available, best, dissection, readable
+from tacgen.mechanics.linear_solvers import (
+    LINEAR_SOLVERS,
+    Cholmod,
+    NotPositiveDefinite,
+    available,
+    best,
+    dissection,
+    readable,
+)
 
 Array = np.ndarray
 
@@ -29,14 +37,14 @@ def test_the_best_one_is_installed_and_one_always_is() -> None:
     assert available()[-1] == "superlu"
     assert "cholmod" in available()  # a dependency
     assert best(system(1)[0]).name == available()[0]
-    assert set(available()) <= set(SOLVERS)
+    assert set(available()) <= set(LINEAR_SOLVERS)
 
 
 @pytest.mark.parametrize("name", available())
 def test_every_solver_solves(name: str) -> None:
     pat, data, A, b = system()
     assert np.linalg.eigvalsh(A).min() > 0
-    solver = SOLVERS[name][0](pat)
+    solver = LINEAR_SOLVERS[name][0](pat)
     assert solver.name == name
     for scale in (1.0, 3.0):  # new numbers on the old pattern
         solver.factor(scale * data)
@@ -60,7 +68,7 @@ def test_cholmod_tells_an_indefinite_matrix_and_goes_on_after_it() -> None:
 def test_superlu_tells_a_singular_matrix() -> None:
     pat, data, _, _ = system(1)
     with pytest.raises(NotPositiveDefinite):
-        SOLVERS["superlu"][0](pat).factor(0 * data)
+        LINEAR_SOLVERS["superlu"][0](pat).factor(0 * data)
 
 
 def test_dissection_is_a_permutation_that_saves_fill() -> None:

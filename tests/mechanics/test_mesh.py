@@ -127,7 +127,7 @@ def test_a_turning_path_touches_what_lies_inside_at_any_of_its_poses() -> None:
     for k, pose in enumerate(path):
         pose[:3, :3] = about(np.eye(3)[2], 0.2 * k)
     made = scene(CapsuleSdf(1.0, 16.0), path, pad=gel(2.0), edge=0.6)
-    step = made.edge / mesh.FACE_STEPS
+    step = made.edge / mesh.FACE_POINTS_PER_EDGE
     x, y = (np.linspace(-size / 2, size / 2, math.ceil(size / step) + 1) for size in (12.0, 10.0))
     face = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], -1).reshape(-1, 3)
     inside = np.any([made.shape.value(Pose.of(pose).local(face)) < 0 for pose in path], axis=0)

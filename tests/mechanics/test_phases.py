@@ -15,7 +15,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import NotConverged, Problem, SolverOptions, mesh, phases, plain, solver
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.load_stepping import to_pose
-from tacgen.mechanics.phases import COUNTED, FINAL, TRANSITIONS, Outcome, Phase
+from tacgen.mechanics.phases import COUNTED_PHASES, FINAL_PHASES, PHASE_TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.solve_state import SolveState
 
 Edge = tuple[Phase, Outcome]
@@ -25,7 +25,7 @@ def reached(start: Phase, without: frozenset[Phase] = frozenset()) -> set[Phase]
     """The phases that can follow one, on paths that pass none of `without`."""
     seen, ahead = set[Phase](), [start]
     while ahead:
-        for phase in TRANSITIONS.get(ahead.pop(), {}).values():
+        for phase in PHASE_TRANSITIONS.get(ahead.pop(), {}).values():
             if phase not in seen | without:
                 seen.add(phase)
                 ahead.append(phase)
@@ -33,20 +33,20 @@ def reached(start: Phase, without: frozenset[Phase] = frozenset()) -> set[Phase]
 
 
 def test_every_phase_has_a_kernel_and_a_row_or_is_final() -> None:
-    assert set(TRANSITIONS) == set(solver.KERNELS) == set(Phase) - FINAL
-    assert all(TRANSITIONS.values())
+    assert set(PHASE_TRANSITIONS) == set(solver.PHASE_KERNELS) == set(Phase) - FINAL_PHASES
+    assert all(PHASE_TRANSITIONS.values())
 
 
 @pytest.mark.parametrize("phase", Phase)
 def test_every_phase_is_reached_and_leads_to_both_ends(phase: Phase) -> None:
     assert phase is Phase.begin or phase in reached(Phase.begin)
-    if phase not in FINAL:
-        assert reached(phase) >= FINAL
+    if phase not in FINAL_PHASES:
+        assert reached(phase) >= FINAL_PHASES
 
 
-@pytest.mark.parametrize("phase", [phase for phase in Phase if phase not in COUNTED])
+@pytest.mark.parametrize("phase", [phase for phase in Phase if phase not in COUNTED_PHASES])
 def test_every_cycle_passes_a_phase_that_is_counted(phase: Phase) -> None:
-    assert phase not in reached(phase, frozenset(COUNTED))
+    assert phase not in reached(phase, frozenset(COUNTED_PHASES))
 
 
 def begun(shape: Shape, options: SolverOptions, depth: float, x: float = 0.0) -> tuple[Problem, SolveState]:
@@ -91,8 +91,8 @@ def edges(name: str) -> set[Edge]:
         if patched:
             patch.setattr(f"tacgen.mechanics.{patched}", by)
         problem, now = begun(*press)
-        while now.phase not in FINAL:
-            outcome, after = solver.KERNELS[now.phase](problem, now)
+        while now.phase not in FINAL_PHASES:
+            outcome, after = solver.PHASE_KERNELS[now.phase](problem, now)
             seen.add((now.phase, outcome))
             assert str(now).startswith(f"frame 0: {now.phase}")
             now = solver.following(after, outcome)
@@ -104,7 +104,9 @@ def edges(name: str) -> set[Edge]:
 
 
 def test_kernels_return_all_that_the_table_has_and_no_more() -> None:
-    assert set.union(*map(edges, RUNS)) == {(phase, outcome) for phase, row in TRANSITIONS.items() for outcome in row}
+    assert set.union(*map(edges, RUNS)) == {
+        (phase, outcome) for phase, row in PHASE_TRANSITIONS.items() for outcome in row
+    }
 
 
 def test_what_is_kept_between_two_load_steps_goes_on_in_another_process() -> None:

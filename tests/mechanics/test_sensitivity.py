@@ -21,7 +21,7 @@ from tacgen.recipe.row import Row
 
 PRESS = "press: {depth_mm: 0.8, frames: 2}"
 ALL = {"material": {"modulus": 0.1, "poissons_ratio": 0.002, "friction": 0.1}, "pose": {"depth_mm": 0.02}}
-EXACT = replace(mechanics.DEFAULT, step_tol=1e-4, residual_tol=1e-7)
+EXACT = replace(mechanics.DEFAULT_OPTIONS, step_tol=1e-4, residual_tol=1e-7)
 
 
 def force(state: mechanics.State) -> np.ndarray:
@@ -91,7 +91,7 @@ def test_with_friction_they_follow_the_path(substeps: bool) -> None:
 def test_they_follow_frames_that_press_deep_with_the_usual_tolerances() -> None:
     """0.4 mm a frame: many points first touch within one, where the predictor says."""
     row = small_recipe.row(PRESS, "contact.friction=0.6")
-    built, on, found = slopes(row, mechanics.DEFAULT)
+    built, on, found = slopes(row, mechanics.DEFAULT_OPTIONS)
     for name, value in differences(built, on, replace(EXACT, step_tol=1e-6, residual_tol=1e-10)).items():
         assert np.linalg.norm(found[name] - value) < 0.01 * np.linalg.norm(value), name
 

@@ -48,7 +48,7 @@ def test_the_boundary_is_the_gels(domed: mesh.GelMesh) -> None:
     for name, way in (("bonded", -1), ("coated", 1)):
         _, normal = facet_areas(x, domed.facets[name])
         assert (way * normal[..., 2]).min() > 0.9
-    sag = tet_mesh.FINE[1] * DOMED.side
+    sag = tet_mesh.PROJECTED_SURFACE_RATIOS[1] * DOMED.side
     tight = x * np.array([1 - 2 * sag / 4.5, 1 - 2 * sag / 4.5, 1])
     assert DOMED.contains(*tight[:, :2].T).all()
     end = x[(x[:, 1] < -1.2) & (np.hypot(x[:, 0], x[:, 1] + 1) > 4.4)]
@@ -111,7 +111,7 @@ def test_a_mesh_is_kept_and_another_scene_gets_another(monkeypatch: pytest.Monke
 
 def test_the_same_mesh_is_made_again() -> None:
     """Of processes that draw from the random device, no two made the same; not optimised, which takes seconds."""
-    vertices, triangles, _ = SMALL.surface(*tet_mesh.COARSE)
+    vertices, triangles, _ = SMALL.surface(*tet_mesh.MESHED_SURFACE_RATIOS)
     ungraded = np.zeros((0, 3)), np.zeros((0, 4), np.int32), np.zeros(0)
     asked = (vertices, triangles.astype(np.uint32), False, False, 0.2, 0.0, 0.01, 10.0, False)
     asked += (1, 80, 6, True, False, True)

@@ -113,4 +113,7 @@ def test_pictures_with_and_without_differ_by_the_pattern_alone() -> None:
 
 
 def test_the_field_of_a_fine_camera_stays_small() -> None:
-    assert made(pixel=0.001, grain=GRAIN).shape == (20 / coat_texture.FINEST, 24 / coat_texture.FINEST)
+    assert made(pixel=0.001, grain=GRAIN).shape == (
+        20 / coat_texture.MIN_TEXTURE_SPACING_MM,
+        24 / coat_texture.MIN_TEXTURE_SPACING_MM,
+    )

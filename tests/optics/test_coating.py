@@ -112,7 +112,7 @@ def test_stray_light_is_even_but_for_the_vignette_and_dots_stay_dark_in_it():
         [0.1, 0.2, 0.3] * camera_response.vignette(model.camera)
     )
     dark = model.model_copy(update={"leds": tuple(x.model_copy(update={"radiance": (0, 0, 0)}) for x in model.leds)})
-    coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL
+    coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL_REFLECTANCE
     for samples in (1, 2):
         view, seen = CameraView(dark, Sheet.over(dark.gel, 0.2), True, samples), np.ones((32, 40, 3))
         at = view.look(Untouched())

@@ -5,7 +5,7 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.optics import interreflection, strip_light
-from tacgen.optics.interreflection import TERMS, Glow, Radiosity
+from tacgen.optics.interreflection import NORMAL_TERMS, Glow, Radiosity
 from tacgen.sensor.model import Solid
 
 
@@ -21,7 +21,7 @@ def test_a_turned_face_gets_what_it_would_gather(turn):
     flat = bounce._gather(bounce._patches, len(lit), normals=np.ascontiguousarray(level)) @ lit
     terms = np.repeat((bounce._form_factor_terms @ lit).T[:, :, None], 3, axis=2)
     found = Glow(terms, level[:, :2]).at(turned)
-    assert terms.shape[1:] == (TERMS, 3)
+    assert terms.shape[1:] == (NORMAL_TERMS, 3)
     off = np.linalg.norm(found[:, 0] - exact) / np.linalg.norm(exact)
     assert off < 0.04
     assert not any(turn) or off < 0.3 * np.linalg.norm(flat - exact) / np.linalg.norm(exact)
@@ -29,7 +29,7 @@ def test_a_turned_face_gets_what_it_would_gather(turn):
 
 def test_the_light_of_a_normal_is_its_polynomial():
     rng = np.random.default_rng(0)
-    terms, level = rng.normal(size=(50, TERMS, 3)).astype(np.float32), rng.uniform(-0.3, 0.3, (50, 2))
+    terms, level = rng.normal(size=(50, NORMAL_TERMS, 3)).astype(np.float32), rng.uniform(-0.3, 0.3, (50, 2))
     normal, index = rng.uniform(-1, 1, (50, 3)), rng.choice(50, 20, replace=False)
     normal[index[3]] = np.nan  # beside the pad
     x, y = np.clip(normal[:, :2] - level, -0.9, 0.9).T[..., None]

@@ -6,7 +6,7 @@ from helpers.tiny import sensor
 from scipy import stats
 
 from tacgen.optics import camera_response
-from tacgen.optics.camera_response import QUANTILES, deviation
+from tacgen.optics.camera_response import NOISE_QUANTILES, deviation
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import Camera, Noise
 
@@ -45,7 +45,7 @@ def test_variance_is_shot_times_signal_plus_read_squared(level: float) -> None:
 
 def test_quantiles_are_those_of_a_normal_distribution_of_variance_1() -> None:
     values = camera_response.quantiles().astype(float)
-    assert len(values) == QUANTILES
+    assert len(values) == NOISE_QUANTILES
     assert (np.diff(values) > 0).all()
     assert abs(values.mean()) < 1e-7
     assert values.var() == pytest.approx(1.0, rel=1e-7)

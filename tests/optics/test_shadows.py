@@ -176,7 +176,7 @@ def test_the_coating_mixes_the_lights_of_the_strips(gloss: float, dots: bool):
     at = direct.view.look(BallDent(2.0, 1.0, (0.6, -0.4), Untouched.of(made.gel)))
     light = np.einsum("nki,kc->nci", direct.light(at), [led.light for led in made.leds])
     matt, coat = light[..., 0], made.coating
-    bare = (1 - gloss) * matt * coat.albedo + (gloss * coating.METAL * light[..., -1] if gloss else 0.0)
+    bare = (1 - gloss) * matt * coat.albedo + (gloss * coating.METAL_REFLECTANCE * light[..., -1] if gloss else 0.0)
     painted = matt * made.markers.albedo if gloss else bare * made.markers.albedo / coating.white(coat)
     expected = (bare + at.paint * (painted - bare)).reshape(32, 40, 3)
     assert bool((at.paint > 0).any()) is dots

@@ -41,7 +41,7 @@ def test_pictures_of_few_pixels_have_their_part_of_the_light(monkeypatch: pytest
     """Uncompiled, where an index beyond the shadows' ends raises instead of reading other memory."""
     monkeypatch.setattr(taxim_table, "_look_up", taxim_table._look_up.py_func)
     flat = taxim_table.Face(np.zeros(shape), np.zeros((*shape, 2)))
-    terms = np.zeros((taxim_table.BINS, taxim_table.BINS, 6, 3))
+    terms = np.zeros((taxim_table.SLOPE_BINS, taxim_table.SLOPE_BINS, 6, 3))
     terms[..., 0, :] = 0.25
     table = taxim_table.TaximTable(terms, np.array([[1.0, 1.0, 1.0]]))
     assert table.added(flat, LAMP, 0.1) == pytest.approx(0.25)
@@ -50,7 +50,9 @@ def test_pictures_of_few_pixels_have_their_part_of_the_light(monkeypatch: pytest
 def test_lamps_are_mixed_by_their_light():
     rng = np.random.default_rng(1)
     alone = [
-        taxim_table.TaximTable(rng.normal(size=(taxim_table.BINS, taxim_table.BINS, 6, 3)), rng.uniform(size=(1, 3)))
+        taxim_table.TaximTable(
+            rng.normal(size=(taxim_table.SLOPE_BINS, taxim_table.SLOPE_BINS, 6, 3)), rng.uniform(size=(1, 3))
+        )
         for _ in range(2)
     ]
     kept = [taxim_table.TaximTable.unpacked(one.packed) for one in alone]
@@ -63,7 +65,9 @@ def test_lamps_are_mixed_by_their_light():
 def test_what_a_lamp_is_hidden_from_is_darker():
     height = np.zeros((40, 80))
     height[:, 50:53] = -2.0
-    shade = taxim_table.TaximTable(np.zeros((taxim_table.BINS, taxim_table.BINS, 6, 3)), np.array([[0.5, 0.2, 0.0]]))
+    shade = taxim_table.TaximTable(
+        np.zeros((taxim_table.SLOPE_BINS, taxim_table.SLOPE_BINS, 6, 3)), np.array([[0.5, 0.2, 0.0]])
+    )
     found = shade.added(taxim_table.Face(height, np.zeros((40, 80, 2))), LAMP, 0.1)
     assert found[20, 46] == pytest.approx([-0.5, -0.2, 0.0])
     assert (found[:, 60:] == 0).all()

@@ -57,7 +57,7 @@ def test_far_from_the_contact_nothing_is_changed() -> None:
     at, r = grid(), np.linalg.norm(grid(), axis=1)
     found = contact_rim.openings(at, hertz(r), r <= CONTACT, EDGE)
     assert found is not None
-    assert (found[r > CONTACT + contact_rim.REACH * EDGE, 1] == 0).all()
+    assert (found[r > CONTACT + contact_rim.MAX_OPENING_EDGES * EDGE, 1] == 0).all()
 
 
 @pytest.mark.parametrize("closed", [np.zeros(289, bool), np.ones(289, bool)])

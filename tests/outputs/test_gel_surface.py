@@ -8,7 +8,7 @@ from helpers.presses import Run, gel, poses, run, scene
 from helpers.small import patch
 
 from tacgen.fem.elements import facet_areas
-from tacgen.fem.stress_recovery import FULL
+from tacgen.fem.stress_recovery import VOIGT_INDEX
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Faces
@@ -149,7 +149,7 @@ def test_the_stress_of_a_press_balances_its_force(pressed: Run) -> None:
         faces = pressed.problem.contact.faces
         area, normal = facet_areas(state.x, faces.conn)
         nodal = faces.scatter(area[..., None] * normal, len(state.x))
-        pull = np.einsum("nij,nj->i", stress.node[:, FULL], nodal)
+        pull = np.einsum("nij,nj->i", stress.node[:, VOIGT_INDEX], nodal)
         assert np.linalg.norm(pull - force) == pytest.approx(quality["force_error"] * np.linalg.norm(force))
         assert pull[2] < 0  # tension is positive: the indenter pushes down
 
@@ -173,9 +173,9 @@ def test_traction_is_forced_on_stress_by_the_least_change() -> None:
     stress, traction, n = rng.normal(size=(5, 6)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     found = agreeing(stress, n, traction)
-    assert np.einsum("nij,nj->ni", found[:, FULL], n) == pytest.approx(traction)
+    assert np.einsum("nij,nj->ni", found[:, VOIGT_INDEX], n) == pytest.approx(traction)
     across = np.eye(3) - n[:, :, None] * n[:, None]
-    assert across @ (found - stress)[:, FULL] @ across == pytest.approx(np.zeros((5, 3, 3)), abs=1e-12)
+    assert across @ (found - stress)[:, VOIGT_INDEX] @ across == pytest.approx(np.zeros((5, 3, 3)), abs=1e-12)
     assert agreeing(found, n, traction) == pytest.approx(found)
 
 
@@ -224,7 +224,7 @@ def test_a_face_in_contact_is_the_balls_own(
     at = smooth.at(middle + np.random.default_rng(0).uniform(-0.8, 0.8, (200, 2)))
     assert np.abs(shape.distance(Pose.of(state.pose).local(at))[0]).max() < 2e-3
     assert (smooth.now == plain.now).all()
-    monkeypatch.setattr(gel_surface, "MIN_EDGES", 10)  # what the mesh does not resolve is left as it is solved
+    monkeypatch.setattr(gel_surface, "MIN_RADIUS_EDGES", 10)  # what the mesh does not resolve is left as it is solved
     assert np.array_equal(surface.pressed(pressed.problem, state).at(middle + out), plain.at(middle + out))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.reference_runs import row_of
-from tacgen.mechanics import DEFAULT, Problem, SolverOptions, State, mesh, states
+from tacgen.mechanics import DEFAULT_OPTIONS, Problem, SolverOptions, State, mesh, states
 from tacgen.mechanics.admission import folds_on
 from tacgen.mechanics.load_stepping import may_damp
 from tacgen.mechanics.solve_state import Leg
@@ -20,7 +20,7 @@ PRESSED = {
 }
 
 
-def pressed(indenter: str, frames: int, options: SolverOptions = DEFAULT) -> list[State]:
+def pressed(indenter: str, frames: int, options: SolverOptions = DEFAULT_OPTIONS) -> list[State]:
     """The frames of a press by .9 mm at `draft`."""
     press = f"trajectory=[{{press: {{depth_mm: 0.9, frames: {frames}}}}}]"
     made = scene_of_row.build(
@@ -44,7 +44,7 @@ def test_a_press_has_one_force_and_no_fold_in_however_many_frames(name: str) -> 
 
 def test_without_halving_a_long_load_step_is_damped() -> None:
     """Why it is halved: the force is the same, and the frame is marked as a fold."""
-    (damped,) = pressed(PRESSED["a box"], 1, replace(DEFAULT, fold_halvings=0))
+    (damped,) = pressed(PRESSED["a box"], 1, replace(DEFAULT_OPTIONS, fold_halvings=0))
     (halved,) = pressed(PRESSED["a box"], 1)
     assert damped.damped > 0
     assert not damped.unique
@@ -61,6 +61,10 @@ def test_a_gel_has_folded_until_it_is_untouched_and_may_be_damped_at_once() -> N
         assert folds_on(history, 1)
         assert not folds_on(history, 0)
         assert folds_on(replace(history, folded=True), 0) == after_fold
-    assert [may_damp(touched, leg._replace(halved=times), DEFAULT) for times in (0, 1, 2)] == [False, False, True]
-    assert may_damp(replace(touched, folded=True), leg, DEFAULT)
-    assert not may_damp(replace(touched, folded=True), leg, replace(DEFAULT, through_folds=False))
+    assert [may_damp(touched, leg._replace(halved=times), DEFAULT_OPTIONS) for times in (0, 1, 2)] == [
+        False,
+        False,
+        True,
+    ]
+    assert may_damp(replace(touched, folded=True), leg, DEFAULT_OPTIONS)
+    assert not may_damp(replace(touched, folded=True), leg, replace(DEFAULT_OPTIONS, through_folds=False))

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
-from tacgen.fem.materials import EXAMPLES, Law, NeoHooke
+from tacgen.fem.materials import EXAMPLE_LAWS, Law, NeoHooke
 from tacgen.fem.potential import Potential, Total
 
 Array = np.ndarray
@@ -35,7 +35,7 @@ def solve(potential: Potential, x: Array, pat: Pattern) -> Array:
     return minimise(potential, x, pat, xtol=1e-11)
 
 
-@pytest.mark.parametrize("law", EXAMPLES.values(), ids=list(EXAMPLES))
+@pytest.mark.parametrize("law", EXAMPLE_LAWS.values(), ids=list(EXAMPLE_LAWS))
 @pytest.mark.parametrize(("kind", "shake"), [("hex", 0.3), ("tet", 0.2), ("linear_tet", 0.2)])
 def test_a_linear_displacement_gives_a_uniform_stress_on_any_mesh(law: Law, kind: str, shake: float) -> None:
     points, cells = block(3 if kind == "hex" else 2, shake, ELEMENTS[kind])

@@ -191,7 +191,7 @@ def test_a_grasp_that_cannot_be_reached_says_so_in_both_bundles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     row, out = planned(tmp_path, BALL, "close: {force_n: 1, frames: 2}"), tmp_path / "out"
-    monkeypatch.setattr("tacgen.mechanics.grasp_balance.TRIALS", 1)
+    monkeypatch.setattr("tacgen.mechanics.grasp_balance.MAX_GRASP_TRIALS", 1)
     assert pipeline.run_scene(row, out).status == "rejected"
     assert all("not found in 1 trials" in b.attrs["reason"] for b in bundles(out))
 

@@ -104,7 +104,9 @@ def built(name: str) -> tuple[Scene, GelMesh]:
     return made, mesh.of(made)
 
 
-def solved(made: Scene, grid: GelMesh, options: mechanics.SolverOptions = mechanics.DEFAULT) -> list[mechanics.State]:
+def solved(
+    made: Scene, grid: GelMesh, options: mechanics.SolverOptions = mechanics.DEFAULT_OPTIONS
+) -> list[mechanics.State]:
     return list(mechanics.states(made, mechanics.Problem.of(made, grid, options)))
 
 
@@ -132,7 +134,7 @@ def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) 
     made, grid = built(name)
     edged = "mesh" in EVERY[name][3]
     whole = replace(
-        mechanics.DEFAULT, fold_halvings=0, fold_tol=2e-4, fold_max=2e-4
+        mechanics.DEFAULT_OPTIONS, fold_halvings=0, fold_tol=2e-4, fold_max=2e-4
     )  # one load step is one, to its equilibrium
     fast, plain = (mechanics.Problem.of(made, grid, options) for options in (whole, mechanics.plain()))
     history, largest, same = fast.rest(Pose.of(made.start)), 0.0, list[bool]()
@@ -158,7 +160,9 @@ def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) 
 def test_a_path_ends_where_the_plain_solvers_does(name: str) -> None:
     """Where new points touch as if the gel stayed, as the plain solver has it."""
     made, grid = built(name)
-    found, true = (solved(made, grid, o) for o in (replace(mechanics.DEFAULT, predict=False), mechanics.plain()))
+    found, true = (
+        solved(made, grid, o) for o in (replace(mechanics.DEFAULT_OPTIONS, predict=False), mechanics.plain())
+    )
     forces = total(true)
     assert np.linalg.norm(total(found) - forces, axis=1).max() < FORCE * np.linalg.norm(forces, axis=1).max()
     for a, b in zip(found, true, strict=True):

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
-from tacgen.mechanics import DEFAULT, NotConverged, Problem, State, mesh, states
+from tacgen.mechanics import DEFAULT_OPTIONS, NotConverged, Problem, State, mesh, states
 from tacgen.recipe import scene_of_row
 
 COMMON = ("outputs=[force]", "quality=draft")
@@ -101,7 +101,7 @@ def test_it_ends_with_no_element_inverted(
     assert len(found) == frames
     assert min(state.least_J for state in found) > 0
     assert max(state.residual for state in found if not state.damped) < 1e-3
-    assert max(state.residual for state in found) <= DEFAULT.fold_max
+    assert max(state.residual for state in found) <= DEFAULT_OPTIONS.fold_max
     assert max(state.damped for state in found) < 25  # folds end early: most after eight steps
     assert problem.factored < factored
     assert found[frame].traction_force.sum((0, 1))[2] == pytest.approx(force, rel=0.05)

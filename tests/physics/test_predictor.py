@@ -11,7 +11,7 @@ from benchmarks.cases import PLAIN
 from benchmarks.reference_runs import row_of
 from tacgen.geometry.analytic_sdf import CapsuleSdf
 from tacgen.geometry.pose import Pose, shortest_turn
-from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
+from tacgen.mechanics import DEFAULT_OPTIONS, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.load_step import LoadStep
 from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.predictor import Prediction
@@ -26,7 +26,7 @@ WHOLE = SolverOptions(slide=np.inf, slide_sharp=np.inf)
 CORNERS = [(0.0, 0.0, -0.8), (1.0, 0.4, -0.8)]  # pressed and slid
 
 
-def capsule(parts: int, options: SolverOptions = DEFAULT) -> tuple[Array, int]:
+def capsule(parts: int, options: SolverOptions = DEFAULT_OPTIONS) -> tuple[Array, int]:
     """Force (3,) after a rough capsule is pressed into the Mini's gel and slid by 1.07 mm, in so many frames for each
     of three, and all iterations."""
     press = f"press: {{depth_mm: 0.856, frames: {2 * parts}}}"

@@ -42,7 +42,7 @@ def test_a_mesh_indenter() -> None:
 
     def ball(by: float) -> Shape:
         found = trimesh.creation.icosphere(subdivisions=3, radius=2.5 * by)
-        cell = scene_of_row.SDF_CELL * 0.6 * by
+        cell = scene_of_row.SDF_CELL_PER_EDGE * 0.6 * by
         raw = mesh_file.SolidMesh("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
         return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by, radius=0.02 * by)
 

@@ -10,7 +10,7 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.potential import Total
 from tacgen.fem.stress_recovery import Recovery
-from tacgen.outputs.cauchy_stress import VOIGT, _means
+from tacgen.outputs.cauchy_stress import VOIGT_PAIRS, _means
 
 Array = np.ndarray
 
@@ -40,7 +40,7 @@ def errors(n: int, nodes: int) -> tuple[float, float, float]:
     recovery = Recovery.on(points, cells, np.zeros(len(cells), int))
     wanted = exact(points)[1]
     found = recovery.outermost(recovery.matrix @ _means(body, x)[0], len(points))
-    off = found - np.stack([wanted[:, i, j] for i, j in VOIGT], -1)
+    off = found - np.stack([wanted[:, i, j] for i, j in VOIGT_PAIRS], -1)
     rim = ~inside(points)[:, 0]
     raw = body.cauchy(body.evaluate(x))[0] - exact(at)[1]
     everywhere, faces, own = (float(np.sqrt(np.mean(d**2))) for d in (off, off[rim], raw))

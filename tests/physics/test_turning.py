@@ -17,18 +17,18 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
-from tacgen.mechanics import DEFAULT, SolverOptions, mesh
+from tacgen.mechanics import DEFAULT_OPTIONS, SolverOptions, mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 SQUARE = (-3.0, 3.0, -3.0, 3.0)
 EDGE = 0.8
-WHOLE = replace(DEFAULT, slide=np.inf, slide_sharp=np.inf, fold_halvings=0, fold_tol=2e-4, fold_max=2e-4)
+WHOLE = replace(DEFAULT_OPTIONS, slide=np.inf, slide_sharp=np.inf, fold_halvings=0, fold_tol=2e-4, fold_max=2e-4)
 PATH = [(0.4 + 0.1 * k, -0.3, -0.3 - 0.025 * k) for k in range(5)]
 
 
-def slid(path: list[tuple[float, float, float]], shape: Shape, options: SolverOptions = DEFAULT) -> Run:
+def slid(path: list[tuple[float, float, float]], shape: Shape, options: SolverOptions = DEFAULT_OPTIONS) -> Run:
     made = scene(shape, poses(path), friction=0.5, edge=EDGE)
     problem = mechanics.Problem.of(made, mesh.build(made.gel, SQUARE, made.edge), options)
     return Run(made, problem, list(mechanics.states(made, problem)))
@@ -57,8 +57,10 @@ def test_a_long_frame_goes_in_load_steps_that_friction_can_follow(shape: Shape, 
     def off(found: Run) -> float:
         return float(np.linalg.norm(found.forces[-1] - true) / np.linalg.norm(true))
 
-    long, short = (slid([start, end], shape, options) for options in (DEFAULT, mechanics.short_steps(DEFAULT, 4)))
-    assert [state.substeps for state in long.states] == [1, np.ceil(0.9 / (getattr(DEFAULT, longest) * EDGE))]
+    long, short = (
+        slid([start, end], shape, options) for options in (DEFAULT_OPTIONS, mechanics.short_steps(DEFAULT_OPTIONS, 4))
+    )
+    assert [state.substeps for state in long.states] == [1, np.ceil(0.9 / (getattr(DEFAULT_OPTIONS, longest) * EDGE))]
     assert off(long) < tol
     assert off(short) < tol / 2
     whole = slid([start, end], shape, WHOLE)
@@ -73,13 +75,13 @@ def test_a_sharp_edge_in_long_frames_is_right() -> None:
     or several; 46 % with lagged friction."""
     made = scene_of_row.build(row_of((*PLAIN, *CASES["sharp wedge"])))
 
-    def forces(made: Scene, options: SolverOptions = DEFAULT) -> Array:
+    def forces(made: Scene, options: SolverOptions = DEFAULT_OPTIONS) -> Array:
         found = mechanics.states(made, mechanics.Problem.of(made, mesh.of(made), options))
         return np.array([state.traction_force.sum((0, 1)) for state in found])
 
     true = forces(step_size_error.finer(made, 4))[3::4]
     size = np.linalg.norm(true, axis=1).max()
-    for options in (DEFAULT, WHOLE):
+    for options in (DEFAULT_OPTIONS, WHOLE):
         assert np.linalg.norm(forces(made, options) - true, axis=1).max() < 5e-3 * size
 
 

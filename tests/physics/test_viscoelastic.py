@@ -43,7 +43,7 @@ def pressed(
     seconds: list[float] | None,
     made: GelBody | None = None,
     friction: float = 0.0,
-    options: mechanics.SolverOptions = mechanics.DEFAULT,
+    options: mechanics.SolverOptions = mechanics.DEFAULT_OPTIONS,
     **more: object,
 ) -> Run:
     """To these heights [mm], on a coarse mesh; `seconds` of each frame."""
@@ -85,7 +85,7 @@ def test_a_release_gives_back_less_than_the_press_took() -> None:
 
 
 def test_halved_frames_converge_at_second_order() -> None:
-    sharp = replace(mechanics.DEFAULT, residual_tol=2e-5, step_tol=1e-3)
+    sharp = replace(mechanics.DEFAULT_OPTIONS, residual_tol=2e-5, step_tol=1e-3)
     ends = [pressed([-0.5 * (k + 1) / n for k in range(n)], [0.5 / n] * n, options=sharp) for n in (1, 2, 4, 8)]
     change = np.diff([found.forces[-1, 2] for found in ends])
     assert 1.5 < np.log2(change[0] / change[2]) / 2 < 2.5, change
@@ -93,7 +93,9 @@ def test_halved_frames_converge_at_second_order() -> None:
 
 
 def test_the_oracle_agrees() -> None:
-    fast, true = (pressed(DOWN, [0.1] * 4, None, 0.4, options) for options in (mechanics.DEFAULT, mechanics.plain()))
+    fast, true = (
+        pressed(DOWN, [0.1] * 4, None, 0.4, options) for options in (mechanics.DEFAULT_OPTIONS, mechanics.plain())
+    )
     assert fast.forces[:, 2] == pytest.approx(true.forces[:, 2], rel=5e-3)
 
 

@@ -70,7 +70,7 @@ def test_solid_gels_are_those_that_the_script_draws(tmp_path: Path):
 def test_an_installed_package_looks_inside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "data" / "sensors").mkdir(parents=True)
     (tmp_path / "data" / "sensors" / "other.yaml").write_text("")
-    monkeypatch.setattr(assets, "PACKAGE", tmp_path)
+    monkeypatch.setattr(assets, "PACKAGE_FOLDER", tmp_path)
     assert assets.list_sensors() == ["other"]
     assert assets.list_objects() == []
 

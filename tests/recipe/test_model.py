@@ -12,15 +12,15 @@ from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
 from tacgen.base.errors import UserError
-from tacgen.outputs import NAMES
+from tacgen.outputs import OUTPUT_NAMES
 from tacgen.recipe import assets, sensor_checks
-from tacgen.recipe.indenters import SHAPES
+from tacgen.recipe.indenters import INDENTER_SHAPES
 from tacgen.recipe.loading import read
 from tacgen.recipe.model import QUALITIES, Recipe
 from tacgen.sensor import yaml_source
-from tacgen.sensor.model import LIGHTS, Sensor
+from tacgen.sensor.model import LIGHT_FIELDS, Sensor
 from tacgen.sensor.validation_messages import validate
-from tacgen.sensor.yaml_source import TAGS, Source, parse, put
+from tacgen.sensor.yaml_source import CHOICE_KEYS, Source, parse, put
 
 GOOD = """\
 tacgen: 1
@@ -60,7 +60,7 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("press:", "perss:", "8:5: trajectory[0].perss: unknown key, did you mean press?"),
         ("radius_mm: 4.0", "raduis_mm: 4.0", "6:3: indenter.raduis_mm: unknown key, did you mean radius_mm?"),
         ("radius_mm: 4.0", "radius_mm:", "6:3: indenter.radius_mm: must be a number (got nothing)"),
-        ("shape: sphere", "shape: sphre", f"5:10: indenter.shape: must be one of {', '.join(SHAPES)}"),
+        ("shape: sphere", "shape: sphre", f"5:10: indenter.shape: must be one of {', '.join(INDENTER_SHAPES)}"),
         ("  shape: sphere\n", "", "4:1: indenter.shape: is missing"),
         ("outputs: [force]", "outputs: [forse]", "10:11: outputs[0]: must be one of force, traction, events"),
         ("outputs: [force]", "outputs: []", "10:10: outputs: must name at least one of force"),
@@ -165,7 +165,7 @@ def test_a_mistake_in_the_sensor_file_is_reported_in_the_sensor_file(tmp_path: P
 def test_layers_in_the_wrong_order_are_reported_without_lights_too():
     """An opaque skin at the base: maps, which the camera takes through the layers, ended in a traceback."""
     data = yaml_source.load(assets.sensor_path("gelsight_mini")).data
-    unlit = {key: value for key, value in data.items() if key not in LIGHTS}
+    unlit = {key: value for key, value in data.items() if key not in LIGHT_FIELDS}
     unlit["gel"]["layers"][0]["opaque"] = True
     _, (wrong,) = sensor_checks.check(unlit)
     assert wrong.message.startswith("hides the coating: layers are from the bonded base outward")
@@ -262,8 +262,8 @@ def test_tags_are_the_keys_that_choose_a_kind_of_part():
     walk(Sensor, set())
     kinds = {name: defaults - {PydanticUndefined} for name, defaults in found.items()}
     one_of_a_kind = {"method", "units", "end", "up"}  # of one model only: they choose no other keys
-    assert kinds.keys() - one_of_a_kind == TAGS.keys()
-    assert {name: next(iter(kinds[name]), None) for name in TAGS} == TAGS
+    assert kinds.keys() - one_of_a_kind == CHOICE_KEYS.keys()
+    assert {name: next(iter(kinds[name]), None) for name in CHOICE_KEYS} == CHOICE_KEYS
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
@@ -338,12 +338,12 @@ frames = st.integers(1, 20)
 
 @st.composite
 def indenters(draw: Any) -> dict[str, Any]:
-    shape = draw(st.sampled_from(sorted(SHAPES)))
+    shape = draw(st.sampled_from(sorted(INDENTER_SHAPES)))
     fields: dict[str, Any] = {"shape": shape}
     if shape == "mesh":
         size = st.sampled_from(["scale", "size_mm"]).map(lambda name: {name: 2.5})
         return {**fields, "file": "hex_bolt", "up": draw(st.sampled_from(["+x", "-y", "+z"])), **draw(size)}
-    for name in SHAPES[shape].model_fields:
+    for name in INDENTER_SHAPES[shape].model_fields:
         if name == "half_angle_deg":
             fields[name] = draw(st.floats(1, 89))
         elif name == "fillet_mm":
@@ -380,7 +380,7 @@ recipes = st.fixed_dictionaries(
         "sensor": st.just("gelsight_mini"),
         "indenter": indenters(),
         "trajectory": st.lists(segments, min_size=1, max_size=5),
-        "outputs": st.lists(st.sampled_from(NAMES), min_size=1, unique=True),
+        "outputs": st.lists(st.sampled_from(OUTPUT_NAMES), min_size=1, unique=True),
     },
     optional={
         "start": st.fixed_dictionaries({"x_mm": angles, "yaw_deg": angles, "tilt_deg": st.floats(0, 89)}),

@@ -14,7 +14,7 @@ from tacgen.bundle import schema
 from tacgen.recipe import assets, plan, plan_table
 from tacgen.recipe.loading import Loaded, checked, read
 from tacgen.recipe.model import Recipe, Vary
-from tacgen.recipe.row import FORMAT, Row, scene_seed
+from tacgen.recipe.row import KEY_FORMAT, Row, scene_seed
 from tacgen.sensor.validation_messages import validate
 
 BATCH = f"""\
@@ -284,7 +284,7 @@ def test_a_key_changes_with_any_input_and_with_nothing_else():
 
 
 def test_the_format_in_keys_is_that_of_the_bundles():
-    assert FORMAT == schema.FORMAT
+    assert KEY_FORMAT == schema.BUNDLE_FORMAT
 
 
 def test_scene_seeds_do_not_repeat():

@@ -218,7 +218,7 @@ def test_the_table_must_match_the_recipe(tmp_path: Path, replay: str, says: str)
 
 
 def test_a_table_too_long_for_a_segment_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectory_checks, "MAX_FRAMES", 2)
+    monkeypatch.setattr(trajectory_checks, "MAX_SEGMENT_FRAMES", 2)
     with pytest.raises(UserError, match=r"poses.csv: gives 3 frames, at most 2 can be: thin it out by `every`"):
         load(tmp_path, table(ROWS))
     assert load(tmp_path, table(ROWS), replay="{file: poses.csv, every: 2}").rows[0].frames == 2

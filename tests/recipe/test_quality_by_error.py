@@ -10,7 +10,7 @@ from tacgen.mechanics.expected_error import Expected
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.model import QUALITIES
-from tacgen.recipe.quality_by_error import FINEST, _range_of
+from tacgen.recipe.quality_by_error import MIN_CHOSEN_EDGE_MM, _range_of
 
 BALL = "{shape: sphere, radius_mm: 4}"
 PRESS = "trajectory=[{press: {depth_mm: 0.8, frames: 1}}]"
@@ -49,7 +49,7 @@ def test_what_is_not_touched_is_as_at_default() -> None:
 @pytest.mark.parametrize(
     ("sets", "line"),
     [
-        (("quality={force_error: 0.0005}",), rf"force_error: 0.0005 asks for edges below {FINEST:g} mm"),
+        (("quality={force_error: 0.0005}",), rf"force_error: 0.0005 asks for edges below {MIN_CHOSEN_EDGE_MM:g} mm"),
         (("quality={force_error: 0.02, edge_mm: 0.5}",), "force_error chooses edge_mm and dhat_mm: give it or them"),
         (("quality={force_error: 0.02}", "mesh=linear_tet"), "force_error: is not known for linear tetrahedra"),
         (("quality={force_error: 0.7}",), "force_error"),

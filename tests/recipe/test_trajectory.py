@@ -89,7 +89,7 @@ def test_a_second_force_may_be_smaller_and_a_depth_may_follow(tmp_path: Path) ->
 
 def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (trajectory_poses, frames, presolve):
-        monkeypatch.setattr(module, "FORCE_DEPTH", 0.2)
+        monkeypatch.setattr(module, "MAX_FORCE_SEARCH_DEPTH", 0.2)
     found = pipeline.run_scene(row(tmp_path, "press: {force_n: 500, frames: 1}"), tmp_path / "out")
     assert found.status == "rejected"
     assert found.reason.startswith("frame 1 of 1: 500 N asked for, and 20% of the gel's thickness gives ")

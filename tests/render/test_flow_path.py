@@ -23,7 +23,7 @@ class Sheared:
 @pytest.mark.slow
 def test_a_shear_of_half_a_millimetre_is_right_to_a_twentieth_of_a_pixel() -> None:
     model = sensor(camera={"mm_per_px": 0.08, "width_px": 100, "height_px": 80})
-    error = flow.measure(model, Untouched(), Sheared(), mitsuba_variants.SCALAR, spp=100)
+    error = flow.measure(model, Untouched(), Sheared(), mitsuba_variants.SCALAR_VARIANT, spp=100)
     assert error.moved > 6
     assert error.markers_most < 0.05
     assert error.flow_rms < 0.02
@@ -45,7 +45,7 @@ def test_a_camera_that_is_not_straight_sees_what_path_sees(camera: dict) -> None
     sheet, dent = Sheet.over(model.gel, 0.1), Sheared()
     own, traced = (
         DrawnFace(sheet, dent, PinholeCamera.from_sensor(model)).behind(sheet.rest),
-        mitsuba_path.rest(model, sheet, dent, 64, mitsuba_variants.SCALAR),
+        mitsuba_path.rest(model, sheet, dent, 64, mitsuba_variants.SCALAR_VARIANT),
     )
     off = (own - traced) / model.camera.mm_per_px
     assert np.sqrt(np.nanmean(off**2)) < 0.02
@@ -57,7 +57,7 @@ def test_a_camera_that_is_not_straight_sees_what_path_sees(camera: dict) -> None
 @pytest.mark.parametrize("name", flow.DEPTHS)
 def test_on_the_shipped_sensors(name: str) -> None:
     model, untouched, moved = flow.sheared(name)
-    error = flow.measure(model, untouched, moved, mitsuba_variants.SCALAR, spp=100)
+    error = flow.measure(model, untouched, moved, mitsuba_variants.SCALAR_VARIANT, spp=100)
     assert error.moved > 5
     assert error.markers_most < 0.05
     assert error.flow_rms < 0.02

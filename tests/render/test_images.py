@@ -25,11 +25,11 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def drawing(made, spp, markers=False, method="transport"):
-    return images.Renderer(made, spp, 0, markers, mitsuba_variants.SCALAR, method)
+    return images.Renderer(made, spp, 0, markers, mitsuba_variants.SCALAR_VARIANT, method)
 
 
 def paths(made, sheet):
-    return PathTracer(made, sheet, False, mitsuba_variants.SCALAR)
+    return PathTracer(made, sheet, False, mitsuba_variants.SCALAR_VARIANT)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ def lit(lobe, **led):
 
 
 def scene(lobe, **more):
-    mi = mitsuba(mitsuba_variants.SCALAR)
+    mi = mitsuba(mitsuba_variants.SCALAR_VARIANT)
     made = {"type": "scene", **mitsuba_dicts.lights(lit(lobe)), **more}
     return mi, mi.load_dict(realise(mi, made), parallel=False, optimize=False)
 
@@ -74,7 +74,7 @@ def test_sampling_lights_changes_no_picture_but_its_noise(index, monkeypatch):
     light = []
     for sampled in (True, False):
         monkeypatch.setattr(mitsuba_dicts, "in_sight", lambda *_, sampled=sampled: sampled)
-        tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR)
+        tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR_VARIANT)
         light.append([tracer.radiance(Untouched(), 48, k).mean((0, 1)) for k in range(3)])
     noise = np.std(light, axis=1).max(0) * np.sqrt(2 / 3)
     assert (np.abs(np.subtract(*np.mean(light, axis=1))) < 5 * noise + 1e-3 * np.mean(light)).all()
@@ -83,7 +83,7 @@ def test_sampling_lights_changes_no_picture_but_its_noise(index, monkeypatch):
 def test_many_paths_are_traced_in_parts_where_all_at_once_would_fill_the_memory(monkeypatch):
     """Compiled variants hold all paths of a pass at once; the scalar one stands for them here."""
     made = sensor()
-    tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR)
+    tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR_VARIANT)
     whole, sizes, render = tracer.radiance(Untouched(), 36, 1), [], tracer._mi.render
 
     def counted(scene, spp, seed):
@@ -92,7 +92,7 @@ def test_many_paths_are_traced_in_parts_where_all_at_once_would_fill_the_memory(
 
     monkeypatch.setattr(tracer._mi, "render", counted)
     assert np.array_equal(tracer.radiance(Untouched(), 36, 1), whole)
-    monkeypatch.setattr(mitsuba_path, "LANES", 10 * 40 * 32)
+    monkeypatch.setattr(mitsuba_path, "MAX_TRACED_PATHS", 10 * 40 * 32)
     monkeypatch.setattr(tracer, "variant", "compiled")
     monkeypatch.setattr(tracer._mi, "set_variant", lambda _: None)
     parts = tracer.radiance(Untouched(), 36, 1)
@@ -106,5 +106,7 @@ def test_many_paths_are_traced_in_parts_where_all_at_once_would_fill_the_memory(
 def test_paths_a_pixel_are_a_product_so_that_mitsuba_need_not_warn(spp, paths, capfd):
     assert mitsuba_path.stratified(spp) == paths
     made = sensor()
-    PathTracer(made, Sheet.over(made.gel, 2.0), False, mitsuba_variants.SCALAR).radiance(Untouched(), min(spp, 64), 0)
+    PathTracer(made, Sheet.over(made.gel, 2.0), False, mitsuba_variants.SCALAR_VARIANT).radiance(
+        Untouched(), min(spp, 64), 0
+    )
     assert capfd.readouterr() == ("", "")

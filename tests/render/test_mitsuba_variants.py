@@ -17,29 +17,29 @@ def _own_cache(tmp_path, monkeypatch):
 
 
 def test_scalar_really_renders():
-    found = mitsuba_variants.probe(mitsuba_variants.SCALAR)
+    found = mitsuba_variants.probe(mitsuba_variants.SCALAR_VARIANT)
     assert found.works, found.note
 
 
 def test_a_wrong_llvm_library_is_a_no_and_not_the_end_of_the_process(tmp_path):
     wrong = tmp_path / "libLLVM.so"
     wrong.write_bytes(b"not a library")
-    found = mitsuba_variants.probe(mitsuba_variants.LLVM, str(wrong))
+    found = mitsuba_variants.probe(mitsuba_variants.LLVM_VARIANT, str(wrong))
     assert not found.works
     assert found.note
 
 
 def test_a_child_that_aborts_is_a_no(monkeypatch):
     probe = "import os; os.write(2, b'LLVM ERROR: boom'); os.abort()"  # written at once, as LLVM does
-    monkeypatch.setattr(mitsuba_variants, "PROBE", probe)
-    found = mitsuba_variants.probe(mitsuba_variants.LLVM, "any.so")
-    assert found == (mitsuba_variants.LLVM, "any.so", False, "killed by signal 6: LLVM ERROR: boom")
+    monkeypatch.setattr(mitsuba_variants, "PROBE_PROGRAM", probe)
+    found = mitsuba_variants.probe(mitsuba_variants.LLVM_VARIANT, "any.so")
+    assert found == (mitsuba_variants.LLVM_VARIANT, "any.so", False, "killed by signal 6: LLVM ERROR: boom")
 
 
 def test_a_child_that_hangs_is_a_no(monkeypatch):
-    monkeypatch.setattr(mitsuba_variants, "PROBE", "import time; time.sleep(60)")
-    monkeypatch.setattr(mitsuba_variants, "SECONDS", 0.3)
-    assert mitsuba_variants.probe(mitsuba_variants.LLVM).note == "TimeoutExpired"
+    monkeypatch.setattr(mitsuba_variants, "PROBE_PROGRAM", "import time; time.sleep(60)")
+    monkeypatch.setattr(mitsuba_variants, "PROBE_TIMEOUT_S", 0.3)
+    assert mitsuba_variants.probe(mitsuba_variants.LLVM_VARIANT).note == "TimeoutExpired"
 
 
 def test_an_answer_is_kept_until_the_library_changes(tmp_path, monkeypatch):
@@ -65,22 +65,22 @@ def test_an_answer_is_kept_until_the_library_changes(tmp_path, monkeypatch):
 
 def test_a_damaged_answer_is_asked_again(tmp_path, monkeypatch):
     monkeypatch.setattr(mitsuba_variants, "probe", lambda v, x="": mitsuba_variants.VariantProbe(v, x, True, "renders"))
-    mitsuba_variants._remembered(mitsuba_variants.SCALAR, "")
+    mitsuba_variants._remembered(mitsuba_variants.SCALAR_VARIANT, "")
     (kept,) = Path(tmp_path, "cache", "variants").iterdir()
     kept.write_text("{broken")
     mitsuba_variants._asked.cache_clear()
-    assert mitsuba_variants._remembered(mitsuba_variants.SCALAR, "").works
+    assert mitsuba_variants._remembered(mitsuba_variants.SCALAR_VARIANT, "").works
     assert b"renders" in kept.read_bytes()
 
 
 def test_without_llvm_and_gpu_the_scalar_variant_is_taken(monkeypatch):
     monkeypatch.setattr(
-        mitsuba_variants, "_cuda", lambda: mitsuba_variants.VariantProbe(mitsuba_variants.CUDA, "", False, "no")
+        mitsuba_variants, "_cuda", lambda: mitsuba_variants.VariantProbe(mitsuba_variants.CUDA_VARIANT, "", False, "no")
     )
     monkeypatch.setattr(
-        mitsuba_variants, "_llvm", lambda: mitsuba_variants.VariantProbe(mitsuba_variants.LLVM, "", False, "no")
+        mitsuba_variants, "_llvm", lambda: mitsuba_variants.VariantProbe(mitsuba_variants.LLVM_VARIANT, "", False, "no")
     )
-    assert mitsuba_variants.best().variant == mitsuba_variants.SCALAR
+    assert mitsuba_variants.best().variant == mitsuba_variants.SCALAR_VARIANT
 
 
 def test_a_missing_home_is_replaced(monkeypatch):

@@ -13,7 +13,7 @@ pytestmark = reality.needs("digit")
 
 @pytest.fixture(scope="module")
 def renderer():
-    return images.Renderer(reality.sensor("digit"), 64, 0, markers=False, variant=mitsuba_variants.SCALAR)
+    return images.Renderer(reality.sensor("digit"), 64, 0, markers=False, variant=mitsuba_variants.SCALAR_VARIANT)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ SPREAD = ((66, 83), (95, 122), (105, 124))  # channel means of six real units' b
 
 @pytest.mark.slow
 def test_background_means_lie_in_the_real_units_spread_and_red_peaks_in_the_middle():
-    renderer = images.Renderer(reality.sensor("gelsight_mini"), 8, 0, False, mitsuba_variants.SCALAR)
+    renderer = images.Renderer(reality.sensor("gelsight_mini"), 8, 0, False, mitsuba_variants.SCALAR_VARIANT)
     untouched = renderer.develop(renderer.flat())
     for mean, (least, most) in zip(untouched.mean(axis=(0, 1)), SPREAD, strict=True):
         assert least - 0.5 <= mean <= most + 0.5
@@ -30,8 +30,8 @@ def test_background_means_lie_in_the_real_units_spread_and_red_peaks_in_the_midd
 @pytest.mark.slow
 def test_dots_are_as_large_and_as_dark_as_on_a_real_gel():
     """Of another unit: 11.3 px across at 0.6 of the coat's counts, pitch 32.3 px, and 0.38 of the coat's in them."""
-    renderer = images.Renderer(reality.sensor("gelsight_mini"), 64, 0, True, mitsuba_variants.SCALAR)
-    bare = images.Renderer(renderer.sensor, 64, 0, False, mitsuba_variants.SCALAR)
+    renderer = images.Renderer(reality.sensor("gelsight_mini"), 64, 0, True, mitsuba_variants.SCALAR_VARIANT)
+    bare = images.Renderer(renderer.sensor, 64, 0, False, mitsuba_variants.SCALAR_VARIANT)
     share = renderer.develop(renderer.flat()).mean(axis=2) / bare.develop(bare.flat()).mean(axis=2)
     y, x = np.mgrid[:240, :320] + 0.5
     cell = (np.abs(x - 160) < 16) & (np.abs(y - 120) < 16)  # around the middle dot
@@ -44,8 +44,8 @@ def test_dots_are_as_large_and_as_dark_as_on_a_real_gel():
 @pytest.mark.slow
 def test_colours_change_with_the_slope_as_on_the_real_unit_and_a_net_learns_from_them(monkeypatch):
     """Half the dents and steps of a calibration."""
-    monkeypatch.setattr(likeness, "DENTS", 96)
-    monkeypatch.setattr(normal_net, "STEPS", 150)
+    monkeypatch.setattr(likeness, "TRAINING_DENTS", 96)
+    monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 150)
     found = reality.against_photographs("gelsight_mini")
     assert found.contrast == pytest.approx(1.0, abs=0.1)
     assert (found.direction < 15).all()

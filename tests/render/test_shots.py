@@ -159,7 +159,7 @@ def test_many_frames_are_drawn_in_turns(
 ) -> None:
     one = row(tmp_path, "outputs=[rgb, markers]", "render.noise=true")
     expected, _ = made(one, tmp_path, solution, None)
-    monkeypatch.setattr(pictures, "TOGETHER", 2 * 48 * 64)  # pixels of two frames
+    monkeypatch.setattr(pictures, "MAX_BATCH_PIXELS", 2 * 48 * 64)  # pixels of two frames
     found, _ = made(one, tmp_path, solution, "cuda:0")
     assert [line for line in log if line.startswith("radiance")] == ["radiance of 2", "radiance of 1"]
     assert found.verify() == expected.verify()
@@ -177,7 +177,7 @@ def test_what_a_full_device_does_not_draw_the_cpu_draws_and_says_so(
 ) -> None:
     one = row(tmp_path, "outputs=[rgb]", "render.noise=true")
     expected, _ = made(one, tmp_path, solution, None)
-    monkeypatch.setattr(pictures, "TOGETHER", 1)  # less than a frame has
+    monkeypatch.setattr(pictures, "MAX_BATCH_PIXELS", 1)  # less than a frame has
     log.room = room
     found, notes = made(one, tmp_path, solution, "cuda:0")
     assert notes[-1] == f"pictures{begin} drawn by the CPU: CUDA out of memory"

@@ -212,7 +212,7 @@ def test_nearness_never_leaves_a_touching_row_out() -> None:
     thin = Box(size_x_mm=0.1, size_y_mm=0.1, fillet_mm=0.05)
     body = selection.body_of(thin, Placement(), poses[:, :3, :3])
     gaps = selection.gaps(body, gel, poses, 0.1)
-    assert (gaps <= 0.1 + selection.BETWEEN).tolist() == [True, False, False]
+    assert (gaps <= 0.1 + selection.MAX_FACE_POINT_DISTANCE_MM).tolist() == [True, False, False]
     assert selection.least(body, gel, gaps[0], poses[0]) == pytest.approx(-0.05, abs=0.01)
     assert selection.least(body, gel, gaps[1], poses[1]) == pytest.approx(2.0)
 

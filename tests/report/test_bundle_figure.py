@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import read
-from tacgen.bundle.force_error import BY_MESH, ForceError
+from tacgen.bundle.force_error import ERROR_BY_MESH, ForceError
 from tacgen.cli import main as cli
 from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import assets, loading
@@ -56,7 +56,9 @@ def test_only_what_is_there_is_drawn(tmp_path: Path, outputs: set[str], rows: li
 
 def test_no_text_lies_over_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of those in the force's panel and below."""
-    monkeypatch.setattr(bundle_figure, "force_error", lambda bundle: ForceError(np.full(bundle.frames, 0.04), BY_MESH))
+    monkeypatch.setattr(
+        bundle_figure, "force_error", lambda bundle: ForceError(np.full(bundle.frames, 0.04), ERROR_BY_MESH)
+    )
     drawn = bundle_figure.figure(read(write(tmp_path / "x.h5")))
     drawn.canvas.draw()
     panel = next(axes for axes in drawn.axes if "force" in axes.get_ylabel())

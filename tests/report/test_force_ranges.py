@@ -39,7 +39,7 @@ def test_few_forces_join_the_next_range_and_none_is_lost() -> None:
     true = np.array([0.5, 1.0, 3.0, 4.0, 4.5, 6.0, 7.0, 8.0, 9.0, 9.5, 31.0])
     found = force_ranges.ranges(true, true, 5.0)
     assert sum(one["n"] for one in found) == len(true)
-    assert min(one["n"] for one in found) >= force_ranges.LEAST
+    assert min(one["n"] for one in found) >= force_ranges.MIN_RANGE_FORCES
 
 
 def test_forces_beyond_all_that_were_learned_are_named() -> None:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from tacgen.bundle.bundle import read
 from tacgen.cli import main as cli
 from tacgen.report import scene_pages, viewer
-from tacgen.report.field_figure import FIELDS
+from tacgen.report.field_figure import DRAWN_FIELDS
 
 
 def tacgen_(*words: str):
@@ -48,12 +48,12 @@ def test_pictures_of_a_report_lead_to_the_frame_that_they_show(folder: Path) -> 
     links = re.findall(r'<a href="([^"#]+)#frame=(\d+)"><img', (folder / "report.html").read_text())
     assert [Path(link).stem for link, _ in links] == ["scene-00000", "scene-00001"]
     for link, frame in links:
-        assert int(frame) == viewer.marks(read(folder / f"{Path(link).stem}.h5"))[viewer.LARGEST]
+        assert int(frame) == viewer.marks(read(folder / f"{Path(link).stem}.h5"))[viewer.LARGEST_FORCE_LABEL]
         assert (folder / link).is_file()
 
 
 def test_of_many_scenes_the_rejected_ones_have_pages_first(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_pages, "MAX_PAGES", 1)
+    monkeypatch.setattr(scene_pages, "MAX_SCENE_PAGES", 1)
     out = folder.parent / "list.html"
     done = tacgen_("view", str(folder), "-o", str(out))
     assert done.stdout == f"{out}: 1 scenes have no page\n"
@@ -61,7 +61,7 @@ def test_of_many_scenes_the_rejected_ones_have_pages_first(folder: Path, monkeyp
 
 
 def test_show_draws_every_layer_of_the_viewer() -> None:
-    assert {*viewer.NEEDS} <= {*FIELDS}
+    assert {*viewer.LAYER_DATASETS} <= {*DRAWN_FIELDS}
 
 
 @pytest.mark.parametrize("field", ["camera", "markers", "height"])

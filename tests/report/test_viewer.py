@@ -86,7 +86,7 @@ def test_the_page_asks_for_no_file_and_names_are_text(tmp_path: Path) -> None:
 
 
 def test_long_scenes_are_thinned_and_empty_ones_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewer, "FRAMES", 4)
+    monkeypatch.setattr(viewer, "MAX_VIEWER_FRAMES", 4)
     viewer.write([write(tmp_path / "x.h5")], tmp_path / "x.html")
     assert data(tmp_path / "x.html")["bundles"][0]["frames"] == [0, 4, 5, 7, 11]  # 5: the largest force
     done = CliRunner().invoke(app, ["view", str(write(tmp_path / "none.h5", stop=0)), "-o", str(tmp_path / "y.html")])

@@ -9,8 +9,8 @@ from helpers.presses import gel, poses, scene
 
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import about
-from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
-from tacgen.mechanics.phases import FINAL, Phase
+from tacgen.mechanics import DEFAULT_OPTIONS, Problem, SolverOptions, mesh, states
+from tacgen.mechanics.phases import FINAL_PHASES, Phase
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import engine
 from tacgen.tensor_engine.batch import Batch
@@ -38,12 +38,12 @@ def path(*positions: tuple[float, float, float], turns: Sequence[tuple[float, fl
     return out
 
 
-def problem(made: Scene, options: SolverOptions = DEFAULT) -> Problem:
+def problem(made: Scene, options: SolverOptions = DEFAULT_OPTIONS) -> Problem:
     """All have 6 x 6 cells, of which 3 x 3 or 4 x 4 are fine."""
     return Problem.of(made, mesh.build(made.gel, (-1.5, 1.5, -1.5, 1.5), EDGE), options)
 
 
-def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT) -> Batch:
+def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT_OPTIONS) -> Batch:
     """Scenes on equal grids, with dense factors."""
     problems = [problem(made, options) for made in scenes]
     grid = problems[0].mesh
@@ -67,11 +67,11 @@ def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
         phase, rows = max(waiting.items(), key=lambda each: len(each[1]))
         engine.advance(b, phase, rows)
         for row in rows:
-            if b.courses[row].phase in FINAL and next(paths[row], None) is None:
+            if b.courses[row].phase in FINAL_PHASES and next(paths[row], None) is None:
                 going.discard(row)
     return [Solved(course.states, course.why) for course in b.courses]
 
 
-def alone(made: Scene, options: SolverOptions = DEFAULT) -> list[Any]:
+def alone(made: Scene, options: SolverOptions = DEFAULT_OPTIONS) -> list[Any]:
     """The states of the CPU engine."""
     return list(states(made, problem(made, options)))

@@ -17,7 +17,7 @@ from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.barrier import Contact as OneContact
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.scope import KINDS, known
+from tacgen.tensor_engine.scope import SUPPORTED_SHAPES, known
 from tacgen.tensor_engine.shapes import Shapes
 
 torch.set_num_threads(1)
@@ -46,7 +46,7 @@ SHAPES: dict[str, sdf.Shape] = {
 
 
 def test_all_analytic_shapes_are_tried() -> None:
-    assert set(KINDS) == {type(shape) for shape in SHAPES.values()}
+    assert set(SUPPORTED_SHAPES) == {type(shape) for shape in SHAPES.values()}
     assert all(map(known, SHAPES.values()))
     assert not known(object())  # type: ignore[arg-type]
 

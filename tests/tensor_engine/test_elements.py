@@ -15,14 +15,14 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements as cpu_elements
 from tacgen.fem.folding_barrier import FoldingBarrier as OneFolding
 from tacgen.fem.jacobian import least_jacobian as one_least_jacobian
-from tacgen.fem.materials import EXAMPLES, Law, Stiffened
+from tacgen.fem.materials import EXAMPLE_LAWS, Law, Stiffened
 from tacgen.fem.potential import Projection
 from tacgen.tensor_engine.elements import Hexes, Topology
 from tacgen.tensor_engine.inversion import FoldingBarriers, least_jacobian
 from tacgen.tensor_engine.laws import Laws
 
 torch.set_num_threads(1)
-LAWS: dict[str, Law] = {**EXAMPLES, "stiffened": Stiffened(EXAMPLES["mooney_rivlin"], 1.7)}
+LAWS: dict[str, Law] = {**EXAMPLE_LAWS, "stiffened": Stiffened(EXAMPLE_LAWS["mooney_rivlin"], 1.7)}
 SCENES = list(LAWS)  # one scene for each law
 SHAKEN = 0.06  # motion of nodes [mm], of elements 1/3 mm wide: strains of some 40 %
 

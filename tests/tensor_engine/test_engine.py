@@ -10,14 +10,14 @@ torch = needs("torch")
 
 from helpers.presses import gel, poses, scene, thin_plate
 
-from tacgen.fem.materials import EXAMPLES
+from tacgen.fem.materials import EXAMPLE_LAWS
 from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, SphereSdf
 from tacgen.geometry.gel import GelBody, GelLayer
-from tacgen.mechanics import DEFAULT, SolverOptions, State, solver
-from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
+from tacgen.mechanics import DEFAULT_OPTIONS, SolverOptions, State, solver
+from tacgen.mechanics.phases import FINAL_PHASES, PHASE_TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.tensor_engine import bulk_newton, engine, load_step, pool
-from tacgen.tensor_engine.engine import KERNELS, Solved
+from tacgen.tensor_engine.engine import BATCH_KERNELS, Solved
 from tacgen.tensor_engine.planning import Planned
 from tacgen.tensor_engine.scope import lacks
 from tensor_engine.batches import alone, batch, path, small, solve
@@ -40,7 +40,7 @@ def same(one: State, many: State, tolerance: float = 1e-9) -> None:
 
 
 def all_same(
-    scenes: list[Scene], found: list[Solved], tolerance: float = 1e-9, options: SolverOptions = DEFAULT
+    scenes: list[Scene], found: list[Solved], tolerance: float = 1e-9, options: SolverOptions = DEFAULT_OPTIONS
 ) -> None:
     for made, solved in zip(scenes, found, strict=True):
         assert solved.why is None
@@ -68,7 +68,7 @@ def test_slide_twist_tilt_and_release_with_friction(fold_halvings: int) -> None:
     )  # fmt: skip
     shapes = (BALL, CylinderSdf(1.3, 0.2))
     scenes = [small(shape, moves, friction=0.4 + 0.3 * k) for k, shape in enumerate(shapes)]
-    options = replace(DEFAULT, fold_halvings=fold_halvings)
+    options = replace(DEFAULT_OPTIONS, fold_halvings=fold_halvings)
     found = solve(batch(scenes, options), scenes)
     all_same(scenes, found, 1e-6, options)
     states = [state for each in found for state in each.states]
@@ -90,7 +90,7 @@ def test_a_step_without_contact_leaves_no_error_of_a_prediction_to_learn_from(fr
 
 def test_a_scene_that_fails_leaves_the_others_alone() -> None:
     scenes = [small(BALL, path((0, 0, -0.3))), small(SphereSdf(1.2), path((0, 0, -0.2), (0, 0, -1.9)), friction=1.0)]
-    options = replace(DEFAULT, max_effort=4, halvings=1)
+    options = replace(DEFAULT_OPTIONS, max_effort=4, halvings=1)
     found = solve(batch(scenes, options), scenes)
     assert found[0].why is None
     same(alone(scenes[0], options)[0], found[0].states[0])
@@ -122,7 +122,7 @@ def test_a_tangent_that_is_not_definite_is_projected_in_its_scene_alone(monkeypa
 
 
 def test_layers_and_laws_may_differ_from_scene_to_scene() -> None:
-    laws = list(EXAMPLES.values())
+    laws = list(EXAMPLE_LAWS.values())
 
     def layered(k: int) -> Scene:
         layers = (GelLayer(1.2, laws[k], 0.15), GelLayer(0.8, laws[k - 1], 0.2))
@@ -168,7 +168,7 @@ def whole(made: Scene) -> list[State]:
 
 def test_what_the_engine_lacks_is_said() -> None:
     made = small(BALL, path((0, 0, -0.2)))
-    viscous = GelBody(6.0, 6.0, layers=(GelLayer(2.0, EXAMPLES["yeoh"], 0.15, ((0.2, 0.1),)),))
+    viscous = GelBody(6.0, 6.0, layers=(GelLayer(2.0, EXAMPLE_LAWS["yeoh"], 0.15, ((0.2, 0.1),)),))
     assert lacks(made) is None
     assert lacks(replace(made, duration=np.ones(1))) is None
     for changed, said in (
@@ -181,25 +181,29 @@ def test_what_the_engine_lacks_is_said() -> None:
 
 
 def test_every_phase_but_that_of_solvers_without_condensation_has_a_kernel() -> None:
-    assert set(KERNELS) == set(solver.KERNELS) - {Phase.whole}
+    assert set(BATCH_KERNELS) == set(solver.PHASE_KERNELS) - {Phase.whole}
 
 
-AT_ONCE = replace(DEFAULT, sink=np.inf, slide=np.inf, slide_sharp=np.inf)
+AT_ONCE = replace(DEFAULT_OPTIONS, sink=np.inf, slide=np.inf, slide_sharp=np.inf)
 BOX = BoxSdf(1.6, 1.6, 0.1)
 PRESS, RUB = path((0, 0, -0.3)), path((1.2, 0, -0.9))
 RUNS = {  # shape, path and options; what is replaced, and by what
-    "two load steps": (BALL, PRESS, replace(DEFAULT, sink=0.2), None, "", None),
-    "far away": (BALL, path((0, 0, 3.0)), DEFAULT, None, "", None),
-    "punch, pressed deep": (CylinderSdf(0.9, 0.1), path((0, 0, -1.2)), replace(DEFAULT, sink=np.inf), None, "", None),
+    "two load steps": (BALL, PRESS, replace(DEFAULT_OPTIONS, sink=0.2), None, "", None),
+    "far away": (BALL, path((0, 0, 3.0)), DEFAULT_OPTIONS, None, "", None),
+    "punch, pressed deep": (CylinderSdf(0.9, 0.1), path((0, 0, -1.2)), replace(DEFAULT_OPTIONS, sink=np.inf), None,
+    "", None),
     "in circles": (BOX, RUB, replace(AT_ONCE, max_contact=1), None, "", None),
     "folds end it": (BOX, RUB, replace(AT_ONCE, through_folds=False), None, "", None),
-    "out of steps": (BALL, PRESS, replace(DEFAULT, max_newton=1, halvings=1), None, "", None),
-    "out of effort": (BALL, PRESS, replace(DEFAULT, max_effort=1), None, "", None),
-    "out of balance": (BALL, PRESS, replace(DEFAULT, residual_max=1e-300, halvings=0), None, "", None),
-    "no damping": (BOX, RUB, replace(AT_ONCE, halvings=0), bulk_newton, "DAMPING_MAX", -1.0),
-    "no step lowers the energy": (BALL, PRESS, replace(DEFAULT, halvings=0), bulk_newton, "MIN_GAIN", 1e9),
-    "too far": (BALL, PRESS, DEFAULT, load_step, "blocked", lambda b, s, x: torch.ones(len(s), dtype=torch.bool)),
-    "no tangent": (BALL, PRESS, replace(DEFAULT, halvings=0), load_step, "take", lambda b, s, *_: [False] * len(s)),
+    "out of steps": (BALL, PRESS, replace(DEFAULT_OPTIONS, max_newton=1, halvings=1), None, "", None),
+    "out of effort": (BALL, PRESS, replace(DEFAULT_OPTIONS, max_effort=1), None, "", None),
+    "out of balance": (BALL, PRESS, replace(DEFAULT_OPTIONS, residual_max=1e-300, halvings=0), None, "", None),
+    "no damping": (BOX, RUB, replace(AT_ONCE, halvings=0), bulk_newton, "MAX_DAMPING", -1.0),
+    "no step lowers the energy": (BALL, PRESS, replace(DEFAULT_OPTIONS, halvings=0), bulk_newton, "MIN_ENERGY_GAIN",
+    1e9),
+    "too far": (BALL, PRESS, DEFAULT_OPTIONS, load_step, "blocked", lambda b, s, x: torch.ones(len(s),
+    dtype=torch.bool)),
+    "no tangent": (BALL, PRESS, replace(DEFAULT_OPTIONS, halvings=0), load_step, "take", lambda b, s,
+    *_: [False] * len(s)),
 }  # fmt: skip
 
 
@@ -213,7 +217,7 @@ def edges(name: str, patch: pytest.MonkeyPatch) -> set[tuple[Phase, Outcome]]:
     seen, advance = set(), engine.advance
 
     def watched(b: object, phase: Phase, rows: list[int]) -> None:
-        kernel = KERNELS[phase]
+        kernel = BATCH_KERNELS[phase]
 
         def noted(b: object, s: object) -> list[Outcome]:
             outcomes = kernel(b, s)
@@ -221,7 +225,7 @@ def edges(name: str, patch: pytest.MonkeyPatch) -> set[tuple[Phase, Outcome]]:
             return outcomes
 
         with pytest.MonkeyPatch.context() as inner:
-            inner.setitem(KERNELS, phase, noted)
+            inner.setitem(BATCH_KERNELS, phase, noted)
             advance(b, phase, rows)
 
     patch.setattr(engine, "advance", watched)
@@ -232,12 +236,12 @@ def edges(name: str, patch: pytest.MonkeyPatch) -> set[tuple[Phase, Outcome]]:
 
 
 def test_kernels_return_all_that_the_table_has_for_a_condensed_contact_and_no_more() -> None:
-    table = {(phase, outcome) for phase, row in TRANSITIONS.items() for outcome in row}
+    table = {(phase, outcome) for phase, row in PHASE_TRANSITIONS.items() for outcome in row}
     elsewhere = {(Phase.begin, Outcome.not_condensed), (Phase.start, Outcome.not_condensed)}
-    elsewhere |= {(Phase.whole, outcome) for outcome in TRANSITIONS[Phase.whole]}
+    elsewhere |= {(Phase.whole, outcome) for outcome in PHASE_TRANSITIONS[Phase.whole]}
     seen = set()
     for name in RUNS:
         with pytest.MonkeyPatch.context() as patch:
             seen |= edges(name, patch)
     assert seen == table - elsewhere
-    assert FINAL.isdisjoint({phase for phase, _ in seen})
+    assert FINAL_PHASES.isdisjoint({phase for phase, _ in seen})

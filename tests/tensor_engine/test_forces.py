@@ -13,7 +13,7 @@ torch = needs("torch")
 
 from tacgen.geometry.analytic_sdf import CylinderSdf, SphereSdf
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import DEFAULT, NotConverged, Problem, normal_force, solver, states
+from tacgen.mechanics import DEFAULT_OPTIONS, NotConverged, Problem, normal_force, solver, states
 from tacgen.mechanics.failures import Failure
 from tacgen.mechanics.frames import Task
 from tacgen.mechanics.load_stepping import at_once, to_pose
@@ -48,16 +48,16 @@ def test_forces_are_met_as_by_the_cpu_engine_and_again_with_the_same_bytes() -> 
     found, again = (solve(batch(scenes), scenes) for _ in range(2))
     all_same(scenes, found, 1e-8)
     forces = [[normal_force(state) for state in each.states] for each in found]
-    assert forces[0][:2] == pytest.approx([0.3, 0.5], rel=DEFAULT.force_tol)
+    assert forces[0][:2] == pytest.approx([0.3, 0.5], rel=DEFAULT_OPTIONS.force_tol)
     assert forces[1] == pytest.approx([0.2, 0.4, 0.6], rel=1e-2)
-    assert forces[2] == pytest.approx([0.5, 0.05], rel=DEFAULT.force_tol)
+    assert forces[2] == pytest.approx([0.5, 0.05], rel=DEFAULT_OPTIONS.force_tol)
     assert found[0].states[2].pose[2, 3] == pytest.approx(found[0].states[1].pose[2, 3], abs=1e-12)
     for one, two in zip(found, again, strict=True):
         assert all(a.x.tobytes() == b.x.tobytes() for a, b in zip(one.states, two.states, strict=True))
 
 
 def test_trials_that_do_not_converge_at_once_go_in_steps() -> None:
-    options = replace(DEFAULT, max_newton=2)
+    options = replace(DEFAULT_OPTIONS, max_newton=2)
     (found,) = solve(batch([PUNCH], options), [PUNCH])
     assert found.why is None
     one = alone(PUNCH, options)
@@ -81,7 +81,7 @@ def test_a_trial_begins_near_another_one_is_not_halved_and_shares_its_count_of_s
         yield Task(problem, to_pose(problem, history, made.start, made.poses[2], np.zeros(3), 3, 0.0, effort=effort))
 
     made = small(BALL, path((0, 0, -0.3), (0, 0, -1.2), (0, 0, -0.32)))
-    options, made = replace(DEFAULT, max_newton=4), forced(made, [np.nan] * 3)
+    options, made = replace(DEFAULT_OPTIONS, max_newton=4), forced(made, [np.nan] * 3)
     ends: dict[str, list[SolveState]] = {"one": [], "many": []}
 
     def noted(made: Scene, problem: Problem) -> Iterator[Task]:
@@ -106,11 +106,11 @@ def test_a_trial_begins_near_another_one_is_not_halved_and_shares_its_count_of_s
 HARD = path((0, 0, -0.2), (0, 0, -0.5))
 NO_MORE = NotConverged(Failure.hopeless, why="no")
 FAILURES = {  # what is asked for, how, and the options
-    Failure.too_much: ([np.nan, 50.0], {}, DEFAULT),
-    Failure.deeper: ([0.2, 0.7], {"below": np.full(2, 0.01)}, DEFAULT),
-    Failure.force_effort: ([np.nan, 1.0], {}, replace(DEFAULT, max_effort=7)),
-    Failure.force: ([1.0, np.nan], {}, replace(DEFAULT, max_newton=1, halvings=0)),
-    Failure.hopeless: ([np.nan, 1.0], {"hopeless": (1, NO_MORE)}, DEFAULT),
+    Failure.too_much: ([np.nan, 50.0], {}, DEFAULT_OPTIONS),
+    Failure.deeper: ([0.2, 0.7], {"below": np.full(2, 0.01)}, DEFAULT_OPTIONS),
+    Failure.force_effort: ([np.nan, 1.0], {}, replace(DEFAULT_OPTIONS, max_effort=7)),
+    Failure.force: ([1.0, np.nan], {}, replace(DEFAULT_OPTIONS, max_newton=1, halvings=0)),
+    Failure.hopeless: ([np.nan, 1.0], {"hopeless": (1, NO_MORE)}, DEFAULT_OPTIONS),
 }
 
 
@@ -135,11 +135,11 @@ def test_a_force_that_cannot_be_met_fails_as_in_the_cpu_engine(failure: Failure)
 
 def test_each_trial_has_kernel_calls_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the one slot, after another scene: a frame takes some four trials."""
-    monkeypatch.setattr(pool, "MOST_CALLS", 45)
+    monkeypatch.setattr(pool, "MAX_FIRST_CALLS", 45)
     made = forced(small(BALL, path((0, 0, -0.3))), [0.3])
     for _, solved in pool.solved([small(BALL, path((0, 0, -0.2))), made], slots=1, share=False, patient=False):
         assert solved.why is None
-    assert normal_force(solved.states[0]) == pytest.approx(0.3, rel=DEFAULT.force_tol)
+    assert normal_force(solved.states[0]) == pytest.approx(0.3, rel=DEFAULT_OPTIONS.force_tol)
 
 
 def test_a_scene_without_a_first_frame_leaves_its_slot() -> None:

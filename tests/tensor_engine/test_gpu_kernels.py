@@ -157,7 +157,7 @@ def test_rows_beyond_those_of_a_scene_are_not_read(first: int) -> None:
         A[k, n:], A[k, :, n:], B[k, n:] = 0.0, 0.0, 0.0
         A[k, range(n, size), range(n, size)] = 1.0
         wanted[k] = torch.linalg.solve(A[k], B[k])
-        block = -(-n // gpu_blocks.STEP) * gpu_blocks.STEP
+        block = -(-n // gpu_blocks.ELIMINATED_ROWS) * gpu_blocks.ELIMINATED_ROWS
         A[k, block:, block:] = torch.nan
     W = torch.cat([A, B], 2).to(DEVICE)
     given = (own + first).to(DEVICE), slots.to(DEVICE)

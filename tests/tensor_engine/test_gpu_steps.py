@@ -133,7 +133,7 @@ def test_what_contact_acts_on(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_solutions_on_the_kept_unknowns_are_put_together(monkeypatch: pytest.MonkeyPatch) -> None:
     r, k, a, e = R(5), 30, 12, 19
-    place = np.full((4, k), reduction.NOWHERE)  # the last two are padding
+    place = np.full((4, k), reduction.PADDING_PLACE)  # the last two are padding
     place[:, 3:13] = np.arange(10)
     lost = np.full((4, e), -1)
     lost[:, :18] = [0, 1, 2, *range(13, 28)]
@@ -152,8 +152,8 @@ def test_solutions_on_the_kept_unknowns_are_put_together(monkeypatch: pytest.Mon
     assert good.tolist() == fine.tolist() == [True, True, True, False]
     assert (x[0, :28] != 0).all()
     assert (x[:, 28:] == 0).all()
-    right, product = b[..., None].float(), b[..., None].float() * (1 + 0.9 * reduction.EXACT)
-    product[1, 4] += 2 * reduction.EXACT * right[1].abs().max()
+    right, product = b[..., None].float(), b[..., None].float() * (1 + 0.9 * reduction.MAX_UNPIVOTED_RESIDUAL)
+    product[1, 4] += 2 * reduction.MAX_UNPIVOTED_RESIDUAL * right[1].abs().max()
     product[2, 5] = torch.nan
     one, other = both(lambda: reduction._exact(right, product), monkeypatch)
     assert one.tolist() == other.tolist() == [True, False, False, True]
@@ -171,12 +171,12 @@ def test_fractions_to_try_and_figures_of_steps(symmetric: bool, monkeypatch: pyt
     exists, reach = tensor(np.arange(s) != 3), tensor(np.linspace(0.1, 0.9, s))
     trial = TriedStep(case.X.to(DEVICE), start, tensor(r.normal(size=(s, 3 * m))), gradient, g, p, bent,
                   None if symmetric else whole, exists)  # fmt: skip
-    least = newton.SHORTEST if symmetric else newton.MIN_COUPLED
+    least = newton.MIN_LINE_SEARCH_FRACTION if symmetric else newton.MIN_COUPLED_FRACTION
     found, wanted = both(lambda: newton.tried(trial, contact, gap, reach, least), monkeypatch)
     for one, other in zip(found, wanted, strict=True):
         assert same(one, other)
     assert 0 < wanted[0][:, 1].min() < wanted[0][:, 1].max() == 1
-    assert wanted[1][:, newton.FULL].sum() == (0 if symmetric else 2)  # not 1, too long, nor 3
+    assert wanted[1][:, newton.FULL_STEP_COLUMN].sum() == (0 if symmetric else 2)  # not 1, too long, nor 3
 
 
 def test_the_first_fraction_that_is_low_enough(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,7 +77,7 @@ def test_a_mesh_lies_in_larger_patterns_too():
 def test_patterns_are_shared_where_that_saves_time(monkeypatch):
     a, b, c, d = (GridPattern(cells) for cells in ((14, 18, 5), (18, 14, 5), (30, 30, 5), (14, 18, 7)))
     both = GridPattern((18, 18, 5))
-    monkeypatch.setattr(grids, "LARGE", 17_500)
+    monkeypatch.setattr(grids, "REFERENCE_CELLS", 17_500)
 
     def shared(**scenes):
         return grids.merged({{"a": a, "b": b, "c": c, "d": d}[name]: count for name, count in scenes.items()})
@@ -87,7 +87,7 @@ def test_patterns_are_shared_where_that_saves_time(monkeypatch):
     assert shared(a=999, b=999) == {a: a, b: b}
     e = GridPattern((18, 18, 5))
     assert grids.merged({a: 1, b: 1, e: 999}) == {a: e, b: e, e: e}  # what holds both is there
-    monkeypatch.setattr(grids, "LARGE", 1)
+    monkeypatch.setattr(grids, "REFERENCE_CELLS", 1)
     assert shared(a=1, b=1) == {a: a, b: b}
 
 

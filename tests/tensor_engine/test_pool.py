@@ -87,7 +87,7 @@ def test_a_scene_with_other_contact_points_is_refused():
 
 
 def test_a_scene_that_goes_on_for_long_is_put_off(monkeypatch):
-    monkeypatch.setattr(pool, "MOST_CALLS", 9)
+    monkeypatch.setattr(pool, "MAX_FIRST_CALLS", 9)
     found = dict(pool.solved([SCENES[0], SCENES[1]], slots=1, patient=False))
     assert (len(found[0].states), found[0].why, found[0].late) == (1, None, False)
     assert len(found[1].states) < 2
@@ -95,15 +95,15 @@ def test_a_scene_that_goes_on_for_long_is_put_off(monkeypatch):
 
 
 def test_the_last_scenes_of_a_pool_are_put_off(monkeypatch):
-    monkeypatch.setattr(pool, "LAST", 0.5)
-    monkeypatch.setattr(scheduler, "GRACE", 0)
+    monkeypatch.setattr(pool, "PUT_OFF_SHARE", 0.5)
+    monkeypatch.setattr(scheduler, "MAX_GRACE_CALLS", 0)
     assert sorted(each.late for _, each in pool.solved(SCENES[:3:2], patient=False)) == [False, True]
 
 
 def test_no_scene_is_put_off_by_a_patient_solver(monkeypatch):
-    monkeypatch.setattr(pool, "LAST", 0.5)
-    monkeypatch.setattr(pool, "MOST_CALLS", 0)
-    monkeypatch.setattr(scheduler, "GRACE", 0)
+    monkeypatch.setattr(pool, "PUT_OFF_SHARE", 0.5)
+    monkeypatch.setattr(pool, "MAX_FIRST_CALLS", 0)
+    monkeypatch.setattr(scheduler, "MAX_GRACE_CALLS", 0)
     assert [(each.why, each.late) for _, each in pool.solved(SCENES[:2])] == [(None, False)] * 2
 
 
@@ -169,11 +169,11 @@ def test_parts_for_processes_have_scenes_of_one_pool(monkeypatch: pytest.MonkeyP
 
     patterns = [small, None, large, small, large, small, small, large]
     assert parts(patterns, 2) == [[0, 2, 3, 4, 5, 6, 7, 1]]  # all in the larger one, and too few for two processes
-    monkeypatch.setattr(planning, "LEAST", 1)
+    monkeypatch.setattr(planning, "MIN_PART_SCENES", 1)
     assert parts(patterns, 2) == [[0, 3, 5, 7], [2, 4, 6, 1]]
-    monkeypatch.setattr(grids, "LARGE", 100)  # where a scene takes as the square of its cells
+    monkeypatch.setattr(grids, "REFERENCE_CELLS", 100)  # where a scene takes as the square of its cells
     assert parts(patterns, 4) == [[2], [4], [7], [0], [3], [5], [6, 1]]  # a process has two small ones, not four
-    monkeypatch.setattr(planning, "LEAST", 2)
+    monkeypatch.setattr(planning, "MIN_PART_SCENES", 2)
     assert parts(patterns, 4) == [[2, 7], [4], [0, 3, 5, 6, 1]]
     assert parts([small], 4) == [[0]]
     assert parts([None, None], 4) == [[0, 1]]

@@ -194,7 +194,7 @@ def test_scenes_end_the_same_where_recordings_are_done_again(monkeypatch: pytest
 @pytest.mark.parametrize("room", [0.75, 0.05])  # contacts have room from the start; rows grow
 def test_scenes_in_refilled_slots_end_the_same_by_recorded_work(monkeypatch: pytest.MonkeyPatch, room: float) -> None:
     scenes, made = SCENES[:3], []
-    monkeypatch.setattr(tacgen.tensor_engine.batch, "ROOM", room)
+    monkeypatch.setattr(tacgen.tensor_engine.batch, "INITIAL_NODE_SHARE", room)
     wanted = dict(pool.solved(scenes, slots=2, dtype=torch.float64))
 
     def replays(device: torch.device) -> Replays:
@@ -236,7 +236,7 @@ def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.M
 
     cells = len(b.topology.conn)
     for most, again, last in (((4, 4), 2, False), ((4, cells), 1, True), ((cells, cells), 0, True)):
-        monkeypatch.setattr(inversion, "FOLDED", most)  # at first, and where more are folded
+        monkeypatch.setattr(inversion, "RECORDED_BARRIER_CELLS", most)  # at first, and where more are folded
         b.replays.forget()
         b.replays.entered(1)
         b.replays.again = 0

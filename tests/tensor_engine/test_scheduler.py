@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from tacgen.mechanics.phases import FINAL, TRANSITIONS, Phase
+from tacgen.mechanics.phases import FINAL_PHASES, PHASE_TRANSITIONS, Phase
 from tacgen.tensor_engine import scheduler
 from tacgen.tensor_engine.scheduler import Use, run
 
@@ -44,9 +44,9 @@ def paths(count, seed=0):
     r, out = random.Random(seed), []
     for _ in range(count):
         phase, path = P.begin, []
-        while phase not in FINAL:
+        while phase not in FINAL_PHASES:
             path.append(phase)
-            phase = r.choice(list(TRANSITIONS[phase].values()))
+            phase = r.choice(list(PHASE_TRANSITIONS[phase].values()))
         out.append(tuple(path))
     return out
 
@@ -111,11 +111,11 @@ def test_calls_are_no_larger_than_their_memory_allows():
 
 def test_the_last_scenes_are_given_up_where_no_others_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [[P.load] * (k + 1) for k in range(6)]
-    monkeypatch.setattr(scheduler, "GRACE", 0)
+    monkeypatch.setattr(scheduler, "MAX_GRACE_CALLS", 0)
     found = [len(had) for _, had in run(Toy(4), scenes, last=2)]
     assert found == [1, 2, 3, 4, 3, 2]  # the last two came when the first and the second had ended
     assert [len(had) for _, had in run(Toy(2), scenes, last=2)] == [1, 2, 3, 4, 5, 3]  # none while others wait
-    monkeypatch.setattr(scheduler, "GRACE", 2)
+    monkeypatch.setattr(scheduler, "MAX_GRACE_CALLS", 2)
     assert [len(had) for _, had in run(Toy(4), scenes, last=2)] == [1, 2, 3, 4, 5, 4]
     assert [len(had) for _, had in run(Toy(4), scenes[:2], last=2)] == [1, 2]
 

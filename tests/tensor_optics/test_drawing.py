@@ -18,7 +18,7 @@ from tensor_engine.compiling import interpreted_and_compiled
 
 from tacgen.optics.adaptive_sampling import SamplingTolerance
 from tacgen.optics.hertz_dent import BallDent
-from tacgen.optics.shadows import LARGE, SMALL, Terrain, lowest
+from tacgen.optics.shadows import LARGE_BLOCK_CELLS, SMALL_BLOCK_CELLS, Terrain, lowest
 from tacgen.render.images import Clear, Renderer
 from tacgen.tensor_optics import gpu_faces, gpu_light
 from tacgen.tensor_optics.drawing import Drawing
@@ -48,7 +48,8 @@ SENSORS: dict[str, dict[str, Any]] = {
 def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with interpreted_and_compiled(monkeypatch), np.errstate(all="ignore"):  # beside the gel nothing is a number
         if DEVICE == "cpu":
-            monkeypatch.setattr(gpu_light, "SAMPLES", 128)  # the interpreter takes a second for each program
+            # the interpreter takes a second for each program
+            monkeypatch.setattr(gpu_light, "SAMPLES_PER_PROGRAM", 128)
         yield
 
 
@@ -117,9 +118,9 @@ def test_blocks_of_a_terrain(shape: tuple[int, int]) -> None:
     heights = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     heights[:, : shape[1] // 3] = np.inf
     wanted = Terrain.of(heights.astype(float), (2.0, 1.0))
-    small = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), SMALL)
-    assert np.array_equal(small[0].cpu(), lowest(heights.astype(float), SMALL))
-    large = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), LARGE)
+    small = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), SMALL_BLOCK_CELLS)
+    assert np.array_equal(small[0].cpu(), lowest(heights.astype(float), SMALL_BLOCK_CELLS))
+    large = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), LARGE_BLOCK_CELLS)
     assert np.array_equal(large[0].cpu(), wanted.large)
     extent = gpu_faces.extents(small)
     assert extent[0].tolist() == [wanted.lowest, *wanted.box]
