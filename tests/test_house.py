@@ -344,8 +344,31 @@ def test_no_two_public_classes_share_a_name() -> None:
     assert [name for name in names if names.count(name) > 1 and not name.startswith("_")] == []
 
 
-PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EXTENDING.md says
-LINES_BESIDE = 5330  # of benchmarks/ and scripts/ together
+def constants(path: Path) -> set[str]:
+    """The UPPER_CASE names that a module assigns at its top level; type variables are none."""
+    found = set[str]()
+    for node in tree(path).body:
+        targets = [node.target] if isinstance(node, ast.AnnAssign) else getattr(node, "targets", [])
+        if not ast.unparse(getattr(node, "value", None) or node).startswith("TypeVar("):
+            stored = (each for target in targets for each in ast.walk(target) if isinstance(each, ast.Name))
+            found |= {each.id for each in stored if isinstance(each.ctx, ast.Store) and each.id.isupper()}
+    return found
+
+
+def test_a_constant_says_what_it_is() -> None:
+    """MAX_BARRIER_STIFFENINGS, not STIFFENINGS: a name that stands in more than two modules says too little."""
+    names = Counter(name for path in files().values() for name in constants(path) if name not in PROTOCOL)
+    assert [name for name, modules in names.items() if modules > 2] == []
+
+
+def test_the_check_sees_constants(tmp_path: Path) -> None:
+    some = tmp_path / "some.py"
+    some.write_text('T = TypeVar("T")\nA, _B = 1, 2\nC: int = 3\nlower = 4\nD["x"] = 5\ndef f():\n    E = 6\n')
+    assert constants(some) == {"A", "_B", "C"}
+
+
+@cache
+def calls(path: Path) -> list[tuple[ast.Call, str]]:
     """The calls in a module, each with the name that is called: `open`, `os.open`, `path.write_text`."""
     nodes = (node for node in ast.walk(tree(path)) if isinstance(node, ast.Call))
     return [(node, ast.unparse(node.func)) for node in nodes if isinstance(node.func, ast.Attribute | ast.Name)]
