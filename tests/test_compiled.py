@@ -200,3 +200,33 @@ def test_an_invalid_number_of_threads_means_one(threads: str):
     asked = "import tacgen, numba; print(numba.get_num_threads())"
     done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("1\n", "")
+
+
+ELEMENTS = """
+import numpy as np
+from tacgen.base import compiled
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import HEX_CORNERS, elements
+from tacgen.fem.materials import NeoHooke
+
+one = Elastic(elements(HEX_CORNERS / 2, np.arange(8)[None]), NeoHooke(0.1, 1.0))
+print(one.value(HEX_CORNERS), compiled.seconds() > 0)
+"""
+
+
+@pytest.mark.slow
+def test_code_of_elements_is_kept_and_damaged_code_is_made_again(tmp_path: Path):
+    def ran() -> list[str]:
+        known = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-c", ELEMENTS], env=known, capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, "")
+        return done.stdout.split()
+
+    energy, made = ran()
+    assert made == "True"
+    assert ran() == [energy, "False"]
+    (entry,) = tmp_path.rglob("tacgen.physics.entry")
+    whole = entry.read_bytes()
+    entry.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert ran() == [energy, "True"]
+    assert entry.read_bytes()[-9:] == whole[-9:]

@@ -67,8 +67,65 @@ LAW = '''
 
 @dataclass(frozen=True)
 class Toy(NeoHooke):
-    """A neo-Hookean law of another name."""
+    """Gent (1996) with a stretch limit of 20, by shear and bulk modulus."""
+
+    @property
+    def coefficients(self) -> Array:
+        return np.array([self.mu / 2, 20.0, 0, 0, 0, self.kappa, 0, 0, 1.0])
 '''
+FORMULA = '''@wp.func
+def gent(law: Coefficients, I1: real, I2: real, J: real) -> Derivatives:
+    """w = -c10 limit ln(1 - y/limit)."""
+    limit = law[1]
+    a = wp.exp(-TWO_THIRDS * wp.log(J))
+    left = real(1.0) - (a * I1 - real(3.0)) / limit
+    y3, dw = -TWO_THIRDS * a / J * I1, law[0] / left
+    ddw = dw / left / limit
+    d = Derivatives()
+    d.value = -law[0] * limit * wp.log(left)
+    d.w1 = dw * a
+    d.w3 = dw * y3
+    d.w11 = ddw * a * a
+    d.w13 = ddw * a * y3 - TWO_THIRDS * dw * a / J
+    d.w33 = ddw * y3 * y3 + TEN_NINTHS * dw * a * I1 / (J * J)
+    return d
+
+
+@wp.func
+def isochoric(law: Coefficients, I1: real, I2: real, J: real) -> Derivatives:
+    if law[8] == real(1.0):
+        return gent(law, I1, I2, J)
+'''
+ISOCHORIC = """@wp.func
+def isochoric(law: Coefficients, I1: real, I2: real, J: real) -> Derivatives:
+"""
+SLOPES = """
+import numpy as np
+import warp as wp
+from tacgen.fem.assembly import pattern
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import HEX_CORNERS, elements
+from tacgen.fem.materials import Toy
+from tacgen.fem.potential import Projection
+from tacgen.physics import tangents
+
+points, conn = HEX_CORNERS / 2, np.arange(8)[None]
+whole = pattern([conn], np.ones((8, 3), bool))
+body = Elastic.on(whole, elements(points, conn), Toy(0.1, 4.0))
+x, way = points + 0.1 * np.sin(7 * points[:, ::-1] + 1), np.cos(5 * points + 2)
+g, h = body.gradient(x), 1e-5
+slope = (body.value(x + h * way) - body.value(x - h * way)) / (2 * h)
+assert abs(slope - (g * way).sum()) < 1e-7 * np.abs(g).max(), (slope, (g * way).sum())
+data = np.zeros(len(whole.indices))
+body.add_hessian(x, data, Projection.NONE)
+K = np.zeros((24, 24))
+K[np.repeat(np.arange(24), np.diff(whole.indptr)), whole.indices] = data
+K += np.triu(K, 1).T
+bent = (body.gradient(x + h * way) - body.gradient(x - h * way)) / (2 * h)
+assert np.abs(bent.ravel() - K @ way.ravel()).max() < 1e-6 * np.abs(bent).max()
+made = wp.compile_aot_module(tangents.single().module, arch=90, module_dir="gpu")
+print(made[0].stat().st_size)
+"""
 LAYER = '''class ToyLayer(IsochoricLayer):
     """A neo-Hookean law by shear and bulk modulus."""
 
@@ -111,10 +168,11 @@ TOYS = {
     "law": Toy(
         (
             Edit("tacgen/fem/materials.py", "", LAW),
+            Edit("tacgen/physics/laws.py", ISOCHORIC, FORMULA),
             Edit("tacgen/sensor/layers.py", "def _with_law(", LAYER),
             Edit("tacgen/sensor/layers.py", "| YeohLayer,", "| YeohLayer | ToyLayer,"),
         ),
-        2,
+        3,
         TOY_LAW,
     ),
     "sensor": Toy(
@@ -183,3 +241,15 @@ def test_new_things_work_together(tmp_path: Path) -> None:
         assert made["/frames/lowest"].attrs["units"] == "mm"
         assert made["/frames/lowest"].shape == (1,)
     assert "nothing found wrong" in tacgen(tmp_path, "check", "out")
+
+
+@pytest.mark.slow
+def test_a_new_formula_has_its_forces_and_tangent_on_a_core_and_compiles_for_a_gpu(tmp_path: Path) -> None:
+    """For sm_90, the H100's, by a machine that has no GPU."""
+    extended(tmp_path, "law")
+    known = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", SLOPES], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert int(done.stdout.split()[-1]) > 10_000

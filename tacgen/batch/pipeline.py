@@ -98,7 +98,7 @@ def _attributes(
     if solution is not None and solution.states:
         found["solver"] = solution.engine
     else:
-        versions = (f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
+        versions = (f"{package} {version(package)}" for package in ("numpy", "scipy", "numba", "warp-lang"))
         found["solver"] = ", ".join([problem.linear.name, *versions])
     elsewhere = "" if solution is None else solution.why
     if said := [note for note in (coarse, cost, elsewhere, kept_files.note(row), *row.notes) if note]:

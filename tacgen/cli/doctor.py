@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 NEEDED_PACKAGES = (
-    *("numpy", "scipy", "numba", "h5py", "deflate", "pydantic", "ruamel.yaml", "typer", "click"),
+    *("numpy", "scipy", "numba", "warp-lang", "h5py", "deflate", "pydantic", "ruamel.yaml", "typer", "click"),
     *("rich", "platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl"),
     *("pytetwild", "mitsuba", "drjit", "OpenEXR"),
 )

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 Array = np.ndarray
 # over the shear modulus [-]: at 1 hexes still invert between points, at 10 Newton steps are short
 INVERSION_BARRIER_STIFFNESS = 4.0
-# J below which the barrier acts; without inversion J stays near 1 in a nearly incompressible gel [-]
-INVERSION_BARRIER_J0 = 0.6
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class FoldingBarrier:
         return Folds(self.conn, dN, self.rest, self.stiffness * self.volume / len(dN))
 
     def evaluate(self, x: Array) -> FoldingPoint:
-        below = np.flatnonzero(self.folds.lowest(x) < INVERSION_BARRIER_J0)
+        below = self.folds.below(x)
         return FoldingPoint(self, x, below, self.folds.energy(x, below) if below.size else 0.0)
 
     def value(self, x: Array) -> float:

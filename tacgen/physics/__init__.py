@@ -1,8 +1,23 @@
 """Each formula of the solver once, as Warp functions and kernels for a core and for a GPU."""
 
+import os
+import tempfile
+from pathlib import Path
+
 import warp as wp
 
-from tacgen.base import terminal
+from tacgen.base import array_cache, terminal
+
+
+def _folder() -> str:
+    """Where Warp keeps code for GPUs; it does not start without a folder that it can write."""
+    folder = array_cache.cache_folder() / "warp"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return str(Path(tempfile.gettempdir()) / "tacgen-warp")
+    return str(folder if os.access(folder, os.W_OK) else Path(tempfile.gettempdir()) / "tacgen-warp")
+
 
 # Inlining up to 1000 instructions doubles the speed of tangents; Warp's own limit, 9000, compiles for a minute.
 FLAGS = "-march=native -mllvm=-inline-threshold=1000 -mllvm=-slp-recursion-max-depth=4"
@@ -12,5 +27,6 @@ wp.config.quiet, wp.config.log_level = True, wp.LOG_WARNING
 wp.config.cpu_compiler_flags = FLAGS
 wp.config.max_unroll = MAX_UNROLLED_STEPS
 wp.config.enable_backward = False
+wp.config.kernel_cache_dir = _folder()
 with terminal.silent_errors():  # that there is no GPU
     wp.init()

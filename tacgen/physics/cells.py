@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from tacgen.physics import elements, tangents
-from tacgen.physics.laws import Coefficients
+from tacgen.physics import elements, laws, tangents
 from tacgen.physics.runtime import array, launch
 
 Array = np.ndarray
@@ -16,7 +15,7 @@ MOST_CORNERS = 10  # of an element
 
 def coefficients(law: Array, cells: int) -> Any:
     """One law (9,) for all cells."""
-    return array(np.tile(law, (1, cells, 1)), Coefficients)
+    return array(np.tile(law, (1, cells, 1)), laws.Coefficients)
 
 
 def around(conn: Array, nodes: int) -> tuple[Array, Array]:
@@ -48,7 +47,7 @@ class Cells:
         return np.asarray(F[0])
 
     def states(
-        self, F: Array, laws: Any, local: float, memory: Array | None, mixed: tuple[Array, Array] | None = None
+        self, F: Array, made_of: Any, local: float, memory: Array | None, mixed: tuple[Array, Array] | None = None
     ) -> tuple[Array, Array, Array]:
         """Energies (e,) [N mm], J (e, q), and weights times P (e, q, 3, 3) [N mm] at F.
 
@@ -59,8 +58,8 @@ class Cells:
         predicted, taken = (None, None) if mixed is None else (part[None] for part in mixed)
         memory = None if memory is None else memory[None]
         launch(
-            elements.states, (1, e), F[None], self.weights, laws, self.rows, local, memory, predicted, taken, energy, J,
-            stress,
+            elements.states, (1, e), F[None], self.weights, made_of, self.rows, local, memory, predicted, taken,
+            energy, J, stress,
         )  # fmt: skip
         return energy[0], J[0], stress[0]
 
@@ -79,7 +78,7 @@ class Cells:
         return np.asarray(J[0])
 
     def add_tangent(
-        self, F: Array, laws: Any, local: float, memory: Array | None, predicted: Array | None, two: bool,
+        self, F: Array, made_of: Any, local: float, memory: Array | None, predicted: Array | None, two: bool,
         projection: int, entries: Array, data: Array,
     ) -> None:  # fmt: skip
         """Add d2E/dx2 to `data` at `entries` (e, 3a*3a), see tangents.cell_blocks; two: the laws depend on I2."""
@@ -89,7 +88,7 @@ class Cells:
         modes = wp.empty((e, q, 9), dtype=kernels.mat, device="cpu") if projection else None
         dilatation = np.empty(e)
         launch(
-            kernels.points, (e,), F[None], self.weights, laws, self.rows, None, local,
+            kernels.points, (e,), F[None], self.weights, made_of, self.rows, None, local,
             None if memory is None else memory[None], None if predicted is None else predicted[None], projection,
             points, kept, modes, dilatation,
         )  # fmt: skip
@@ -114,6 +113,10 @@ class Folds:
         low = np.empty((1, self.shape[0]))
         launch(elements.lowest, low.shape, x[None], self.conn, self.dN, self.rest, self.most, self.rows, low)
         return np.asarray(low[0])
+
+    def below(self, x: Array) -> Array:
+        """The cells (k,) that have a point with J below J0."""
+        return np.flatnonzero(self.lowest(x) < laws.INVERSION_BARRIER_J0)
 
     def energy(self, x: Array, cells: Array) -> float:
         """Energy [N mm] of some cells (k,), inf if one is inverted."""

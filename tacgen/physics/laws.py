@@ -18,8 +18,9 @@ Coefficients = wp.types.vector(length=9, dtype=real)  # c10, c01, c20, c30, raw,
 TWO_THIRDS = wp.constant(real(2 / 3))
 TEN_NINTHS = wp.constant(real(10 / 9))
 TWENTY_EIGHT_NINTHS = wp.constant(real(28 / 9))
-BARRIER_J0 = 0.6  # J below which the barrier against inversion acts; a nearly incompressible gel stays near 1 [-]
-J0 = wp.constant(real(BARRIER_J0))
+# J below which the barrier against inversion acts; without inversion J stays near 1 in a nearly incompressible gel [-]
+INVERSION_BARRIER_J0 = 0.6
+J0 = wp.constant(real(INVERSION_BARRIER_J0))
 
 
 @wp.struct

@@ -15,7 +15,7 @@ from tacgen.fem.folding_barrier import INVERSION_BARRIER_STIFFNESS
 from tacgen.fem.jacobian import JACOBIAN_TABLES, MAX_SUBDIVISIONS
 from tacgen.fem.potential import Projection
 from tacgen.physics import elements, tangents
-from tacgen.physics.laws import BARRIER_J0
+from tacgen.physics.laws import INVERSION_BARRIER_J0
 from tacgen.physics.runtime import launch, room
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.indices import constant
@@ -120,11 +120,11 @@ class FoldingBarriers:
         low = self._lowest(x)
         if recording():  # the lowest; it is 0 where they are above J0
             most = min(recorded_room(*RECORDED_BARRIER_CELLS), low.shape[1])
-            rare((low < BARRIER_J0).sum(1) > most)
+            rare((low < INVERSION_BARRIER_J0).sum(1) > most)
             cell = low.topk(most, largest=False).indices.flatten()
             scene = torch.arange(len(x), device=x.device).repeat_interleave(most)
             return Folding(self, x.contiguous(), torch.stack([scene, cell], -1).int())
-        folded = low < BARRIER_J0
+        folded = low < INVERSION_BARRIER_J0
         items = torch.nonzero(folded) if rare(folded) else self.topology.conn.new_zeros(0, 2)
         return Folding(self, x.contiguous(), items.int())
 
