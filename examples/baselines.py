@@ -42,7 +42,7 @@ from torch.nn import functional as F
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.splits import divide
-from tacgen.outputs.events import CONTACT_MODES
+from tacgen.outputs.contact_modes import CONTACT_MODES
 from tacgen.report import force_ranges
 from tacgen.torch import TactileDataset
 

@@ -45,7 +45,7 @@ def test_the_library_takes_the_choice(tmp_path: Path) -> None:
     """In a process of its own: what is loaded stays. Nehalem's kernels run on any processor of 64 bit since 2008."""
     program = (
         "from tacgen.mechanics import blas_kernels as b\n"
-        "b.NEEDS = {'Nehalem': set()}\nb._processor = lambda: ('GenuineIntel', set())\nprint(b.report())"
+        "b.KERNEL_INSTRUCTIONS = {'Nehalem': set()}\nb._processor = lambda: ('GenuineIntel', set())\nprint(b.report())"
     )
     environment = {name: value for name, value in os.environ.items() if name != blas_kernels.OPENBLAS_VARIABLE}
     done = subprocess.run(
