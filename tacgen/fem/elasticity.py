@@ -61,9 +61,7 @@ class Elastic:
     @cached_property
     def _law(self) -> tuple[Any, float, Array | None]:
         """The law as the kernels need it, of all elements."""
-        from tacgen.physics.cells import coefficients
-
-        return coefficients(self.law.coefficients, len(self.elements.conn)), self.local, self.memory
+        return self.elements.cells.laws(self.law.coefficients), self.local, self.memory
 
     def evaluate(self, x: Array) -> Point:
         """F, J, energies and stresses at x; where J <= 0 the energy is +inf, J is 1 and the stress undefined."""
@@ -73,12 +71,10 @@ class Elastic:
 
     def isochoric(self, x: Array) -> tuple[Array, Array, Array]:
         """F (e, q, 3, 3), J (e, q) and P (e, q, 3, 3) [MPa] at x of the law without U and memory."""
-        from tacgen.physics.cells import coefficients
-
         cells = self.elements.cells
         alone = self.law.coefficients * [1, 1, 1, 1, 1, 0, 0, 0, 1]
         F = cells.deformation(x)
-        _, J, stress = cells.states(F, coefficients(alone, len(F)), 0.0, None)
+        _, J, stress = cells.states(F, cells.laws(alone), 0.0, None)
         return F, J, stress / self.elements.weights[..., None, None]
 
     def forces(self, at: Point, nodes: int) -> Array:

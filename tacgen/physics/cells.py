@@ -7,15 +7,10 @@ import numpy as np
 import warp as wp
 
 from tacgen.physics import elements, laws, tangents
-from tacgen.physics.runtime import array, launch
+from tacgen.physics.runtime import Launches, array, launch
 
 Array = np.ndarray
 MOST_CORNERS = 10  # of an element
-
-
-def coefficients(law: Array, cells: int) -> Any:
-    """One law (9,) for all cells."""
-    return array(np.tile(law, (1, cells, 1)), laws.Coefficients)
 
 
 def around(conn: Array, nodes: int) -> tuple[Array, Array]:
@@ -30,6 +25,7 @@ class Cells:
     """Elements conn (e, a) with dN/dX (e, q, a, 3) [1/mm] and weights (e, q) [mm^3]."""
 
     def __init__(self, conn: Array, gradients: Array, weights: Array) -> None:
+        self.launch, self._laws = Launches(), dict[tuple[float, ...], Any]()
         self.shape, self.nodes = weights.shape, int(conn.max(initial=-1)) + 1
         self.conn, self.B = array(np.ascontiguousarray(conn, np.int32), wp.int32), array(gradients[None], wp.vec3d)
         self.weights, self.rows = array(weights[None], wp.float64), array(np.zeros(1, np.int32), wp.int32)
@@ -40,10 +36,17 @@ class Cells:
         first, pairs = around(self._conn, self.nodes)
         return array(first, wp.int32), array(pairs, wp.int32)
 
+    def laws(self, law: Array) -> Any:
+        """One law (9,) for all cells, as `states` and `add_tangent` take it."""
+        key = tuple(law)
+        if key not in self._laws:
+            self._laws[key] = array(np.tile(law, (1, self.shape[0], 1)), laws.Coefficients)
+        return self._laws[key]
+
     def deformation(self, x: Array) -> Array:
         """F (e, q, 3, 3) at positions x (n, 3)."""
         F = np.empty((1, *self.shape, 3, 3))
-        launch(elements.deformation, (1, self.shape[0], 1), x[None], self.conn, self.B, self.rows, 1, F)
+        self.launch(elements.deformation, (1, self.shape[0], 1), x[None], self.conn, self.B, self.rows, 1, F)
         return np.asarray(F[0])
 
     def states(
@@ -57,7 +60,7 @@ class Cells:
         energy, J, stress = np.empty((1, e)), np.empty((1, e, q)), np.empty((1, e, q, 3, 3))
         predicted, taken = (None, None) if mixed is None else (part[None] for part in mixed)
         memory = None if memory is None else memory[None]
-        launch(
+        self.launch(
             elements.states, (1, e), F[None], self.weights, made_of, self.rows, local, memory, predicted, taken,
             energy, J, stress,
         )  # fmt: skip
@@ -67,14 +70,14 @@ class Cells:
         """dE/dx (nodes, 3) [N] of weights times P."""
         out = np.zeros((1, nodes, 3))
         corners = np.empty((1, *self._conn.shape, 3))
-        launch(elements.corner_forces, (1, len(self._conn), 1), stress[None], self.B, self.rows, 1, corners)
-        launch(elements.at_nodes, (1, self.nodes), corners, *self.around, out)
+        self.launch(elements.corner_forces, (1, len(self._conn), 1), stress[None], self.B, self.rows, 1, corners)
+        self.launch(elements.at_nodes, (1, self.nodes), corners, *self.around, out)
         return np.asarray(out[0])
 
     def predicted(self, F: Array, to: Array, taken: Array) -> Array:
         """J (e, q) at F = `to`, to first order from J at F, linearised at `taken`."""
         J = np.empty((1, *self.shape))
-        launch(elements.predictions, J.shape, F[None], to[None], taken[None], self.rows, J)
+        self.launch(elements.predictions, J.shape, F[None], to[None], taken[None], self.rows, J)
         return np.asarray(J[0])
 
     def add_tangent(
@@ -102,7 +105,7 @@ class Folds:
     """
 
     def __init__(self, conn: Array, dN: Array, rest: Array, stiffness: Array) -> None:
-        self.shape = conn.shape
+        self.launch, self.shape = Launches(), conn.shape
         self.conn, self.dN = array(np.ascontiguousarray(conn, np.int32), wp.int32), array(dN, wp.vec3d)
         self.rest, self.stiffness = array(rest[None], wp.float64), array(stiffness[None], wp.float64)
         self.most = array(rest.max(1)[None], wp.float64)
@@ -111,7 +114,7 @@ class Folds:
     def lowest(self, x: Array) -> Array:
         """The lowest J (e,) of each cell."""
         low = np.empty((1, self.shape[0]))
-        launch(elements.lowest, low.shape, x[None], self.conn, self.dN, self.rest, self.most, self.rows, low)
+        self.launch(elements.lowest, low.shape, x[None], self.conn, self.dN, self.rest, self.most, self.rows, low)
         return np.asarray(low[0])
 
     def below(self, x: Array) -> Array:

@@ -47,10 +47,36 @@ def array(values: Any, dtype: Any) -> wp.array:
     return wp.from_torch(values, dtype=dtype)
 
 
-def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
+class Launches:
+    """Launches on a core of one object's kernels, recorded: to prepare one takes longer than to run it on few cells."""
+
+    def __init__(self) -> None:
+        self._recorded: dict[tuple[Any, ...], Any] = {}
+
+    def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
+        """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay."""
+        plain = [np.ascontiguousarray(value) if isinstance(value, np.ndarray) else value for value in values]
+        key = kernel, dim, *(_fixed(value) for value in plain)
+        if key not in self._recorded:
+            self._recorded[key] = launch(kernel, dim, *plain, record=True)
+        recorded = self._recorded[key]
+        for k, value in enumerate(plain, 1):  # the first parameter is the launch's size
+            if isinstance(value, np.ndarray):
+                recorded.params[k].data = value.ctypes.data
+        recorded.launch()
+
+
+def _fixed(value: Any) -> Any:
+    """The part of an argument that a recorded launch keeps."""
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype
+    return id(value) if isinstance(value, wp.array) else value
+
+
+def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool = False) -> Any:
     """Run a kernel on its arguments, the outputs among them: arrays of Warp, NumPy or PyTorch; None is one of no rows.
 
-    On a GPU it runs in PyTorch's stream.
+    On a GPU it runs in PyTorch's stream. record: returns the launch instead.
     """
     kinds = [argument.type for argument in kernel.adj.args]
     found = [
@@ -65,7 +91,7 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
         import torch
 
         stream = _stream(torch.cuda.current_stream().cuda_stream, device.alias)
-    wp.launch(kernel, dim=dim, inputs=inputs, device=device, stream=stream)
+    return wp.launch(kernel, dim=dim, inputs=inputs, device=device, stream=stream, record_cmd=record)
 
 
 @cache
