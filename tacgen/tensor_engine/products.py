@@ -1,23 +1,6 @@
-"""Products of many small matrices and vectors, as sums: batched multiplication is slow for so few rows; and of matrices
-in slots and vectors."""
+"""Products of matrices in slots and vectors."""
 
 from torch import Tensor
-
-
-def times(A: Tensor, v: Tensor) -> Tensor:
-    """A v of small matrices (..., m, n) and vectors (..., n)."""
-    return (A * v[..., None, :]).sum(-1)
-
-
-def product(A: Tensor, B: Tensor) -> Tensor:
-    """A B of small matrices (..., m, n) and (..., n, k)."""
-    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
-
-
-def outer(a: Tensor, b: Tensor) -> Tensor:
-    """a b^T of vectors (..., m) and (..., n)."""
-    return a[..., :, None] * b[..., None, :]
-
 
 Used = tuple[Tensor, Tensor]
 
