@@ -164,10 +164,9 @@ def add_blocks(
 ) -> None:  # fmt: skip
     kernels = tangents.double()
     corners = wp.empty(MOST_CORNERS, dtype=kernels.Corner, device="cpu")
-    squares = wp.empty((MOST_CORNERS, 9), dtype=kernels.vec, device="cpu")
     volume = wp.empty(MOST_CORNERS, dtype=kernels.vec, device="cpu")
     K = wp.empty((MOST_CORNERS, MOST_CORNERS), dtype=kernels.mat, device="cpu")
     launch(
-        kernels.cell_blocks, (len(dilatation),), B, rows, items, points, kept, modes, dilatation, two, corners, squares,
+        kernels.cell_blocks, (len(dilatation),), B, rows, items, points, kept, modes, dilatation, two, corners,
         volume, K, entries, data,
     )  # fmt: skip

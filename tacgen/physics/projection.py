@@ -32,11 +32,6 @@ def slopes_in_stretches(d: Derivatives, s: wp.vec3d) -> wp.mat33d:
     return H
 
 
-@wp.func
-def positive_root(value: real) -> real:
-    return wp.sqrt(wp.max(value, real(0.0)))
-
-
 @wp.struct
 class Stretches:
     """F = U diag(s) V^T; eigenvectors and eigenvalues of d2W/ds2."""
@@ -66,20 +61,28 @@ def stretches(F: wp.mat33d, d: Derivatives) -> Stretches:
 
 
 @wp.func
-def eigenmatrix(o: Stretches, d: Derivatives, n: int) -> wp.mat33d:
-    """One of the nine of d2W/dF2 times the root of its eigenvalue, 0 if that is negative: scaling, flip or twist."""
+def eigenvalue(o: Stretches, d: Derivatives, n: int) -> real:
+    """One of the nine of d2W/dF2: of scalings, flips and twists."""
+    k = n % 3
+    if n < 3:
+        return o.values[k]
+    sign = wp.where(n < 6, real(-1.0), real(1.0))
+    c, others = o.s[k], o.s[(k + 1) % 3] * o.s[(k + 2) % 3]
+    return real(2.0) * d.w1 + real(2.0) * d.w2 * (c * c + sign * others) + sign * d.w3 * c
+
+
+@wp.func
+def eigenmatrix(o: Stretches, n: int) -> wp.mat33d:
+    """That of `eigenvalue`, of norm 1."""
     k = n % 3
     if n < 3:
         Q = wp.mat33d()
         for j in range(3):
             Q += o.scaling[j, k] * wp.outer(column(o.U, j), column(o.V, j))
-        return positive_root(o.values[k]) * Q
+        return Q
     a, b = (k + 1) % 3, (k + 2) % 3
     sign = wp.where(n < 6, real(-1.0), real(1.0))
-    c, others = o.s[k], o.s[a] * o.s[b]
-    value = real(2.0) * d.w1 + real(2.0) * d.w2 * (c * c + sign * others) + sign * d.w3 * c
-    Q = wp.outer(column(o.U, a), column(o.V, b)) - sign * wp.outer(column(o.U, b), column(o.V, a))
-    return (HALF_ROOT * positive_root(value)) * Q
+    return HALF_ROOT * (wp.outer(column(o.U, a), column(o.V, b)) - sign * wp.outer(column(o.U, b), column(o.V, a)))
 
 
 @wp.func
@@ -91,13 +94,3 @@ def column(A: wp.mat33d, j: int) -> wp.vec3d:
 def strained(F: wp.mat33d) -> bool:
     E = wp.transpose(F) * F - wp.identity(n=3, dtype=real)
     return wp.ddot(E, E) > MILD
-
-
-@wp.func
-def positive(M: wp.mat33d) -> wp.mat33d:
-    """The positive semi-definite part of the symmetric M."""
-    V, values = wp.eig3(M)
-    for j in range(3):
-        for i in range(3):
-            V[i, j] = V[i, j] * positive_root(values[j])
-    return V * wp.transpose(V)

@@ -7,10 +7,10 @@ corner, f = F g, t = (I1 F - F F^T F) g and c = cof(F) g, the exact one is
     + 2 (w1 + w2 I1) (g.h) 1 - w3 [F (g x h)]_x
     + 2 w2 [2 f f' - f' f - (g . F^T F h) 1 - (g.h) F F^T]
 
-where ' marks the other corner, [v]_x w = v x w. The projected tangent is a sum of squares over the eigenmatrices of an
-isotropic energy, those with positive eigenvalues (Smith, de Goes & Kim 2019, "Analytic eigensystems for isotropic
-distortion energies"). To these a viscoelastic gel adds the positive part of M and a bound of the mixed derivatives in
-M : F^T F and J: with m = F M g, n = |F M| and b > 0, b (m c' + c m') <= b n ((g.h) 1 + c c').
+where ' marks the other corner, [v]_x w = v x w. The projected tangent adds squares of the eigenmatrices of an isotropic
+energy that have negative eigenvalues (Smith, de Goes & Kim 2019, "Analytic eigensystems for isotropic distortion
+energies"). In a viscoelastic gel it adds bounds of what M : F^T F / 2 can lack: with m = F M g and n = |F M|, the mixed
+derivatives with J, b (m c' + c m'), are at least -b n ((g.h) 1 + c c'), and M is at least -|M| 1.
 
 Points are computed in double precision; the sums over pairs of corners in `Tangents.real`, which is single precision
 in batches.
@@ -23,7 +23,7 @@ import warp as wp
 
 from tacgen.physics.elements import LEAST, cofactor, corners_of, item, mapped, near, positive_J
 from tacgen.physics.laws import TWO_THIRDS, Coefficients, Derivatives, clamped_log, isochoric, real, volumetric
-from tacgen.physics.projection import eigenmatrix, positive, strained, stretches
+from tacgen.physics.projection import Stretches, eigenmatrix, eigenvalue, strained, stretches
 
 FIVE_NINTHS = wp.constant(real(5 / 9))
 
@@ -57,7 +57,8 @@ class Tangents:
             w2: r
             I1: r
             w: r
-            projected: wp.int32
+            bound: r
+            negative: wp.int32
 
         @struct
         class Corner:
@@ -99,6 +100,17 @@ class Tangents:
             return p
 
         @func
+        def written(modes: wp.array3d(dtype=mat), i: int, q: int, s: Stretches, d: Derivatives, w: real) -> wp.int32:
+            """Writes the eigenmatrices of negative eigenvalues, times the roots of w and of these, and counts them."""
+            count = wp.int32(0)
+            for n in range(9):
+                value = w * eigenvalue(s, d, n)
+                if value < real(0.0):
+                    modes[i, q, count] = lower(wp.sqrt(-value) * eigenmatrix(s, n))
+                    count += 1
+            return count
+
+        @func
         def corner(p: Point, M: mat, g: vec, two: bool, remembers: bool) -> Corner:
             o = Corner()
             o.g = g
@@ -131,11 +143,13 @@ class Tangents:
             return k
 
         @func
-        def square(modes: wp.array3d(dtype=mat), i: int, q: int, g: vec, h: vec) -> mat:
-            """The projected block of two corners at a point."""
+        def added(p: Point, modes: wp.array3d(dtype=mat), i: int, q: int, a: Corner, b: Corner) -> mat:
+            """Added to the exact block of two corners it is the projected one."""
             k = mat()
-            for n in range(9):
-                k += wp.outer(modes[i, q, n] * g, modes[i, q, n] * h)
+            for n in range(p.negative):
+                k += wp.outer(modes[i, q, n] * a.g, modes[i, q, n] * b.g)
+            if p.bound > r(0.0):
+                k += p.bound * (wp.dot(a.g, b.g) * wp.identity(n=3, dtype=r) + wp.outer(a.c, b.c))
             return k
 
         @kernel
@@ -200,12 +214,8 @@ class Tangents:
                 p = point(Fq, C, w, d, I1)
                 p.mc = r(-TWO_THIRDS * w / J)
                 if projection > 1 or (projection == 1 and strained(Fq)):
-                    p.projected = 1
-                    stretched = stretches(Fq, d)
-                    for n in range(9):
-                        modes[i, q, n] = lower(wp.sqrt(w) * eigenmatrix(stretched, d, n))
-                    p.same = r(TWO_THIRDS * w / J * wp.sqrt(wp.ddot(Fq * M, Fq * M)))
-                    M = positive(M)
+                    p.negative = written(modes, i, q, stretches(Fq, d), d, w)
+                    p.bound = r(TWO_THIRDS * w / J * wp.sqrt(wp.ddot(Fq * M, Fq * M)) + w * wp.sqrt(wp.ddot(M, M)))
                 out[i, q] = p
                 if memory.shape[0] > 0:
                     kept[i, q] = lower(M)
@@ -239,10 +249,7 @@ class Tangents:
                 d.w33 = U[2] / (whole * whole)
                 p = point(F, C, k, d, real(0.0))
                 if projection > 0:
-                    p.projected = 1
-                    stretched = stretches(F, d)
-                    for n in range(9):
-                        modes[i, q, n] = lower(wp.sqrt(k) * eigenmatrix(stretched, d, n))
+                    p.negative = written(modes, i, q, stretches(F, d), d, k)
                 out[i, q] = p
 
         @kernel
@@ -267,10 +274,8 @@ class Tangents:
             for q in range(at.shape[1]):
                 p = at[i, q]
                 g, h = single(B[slots[s], e, q, a]), single(B[slots[s], e, q, b])
-                if p.projected != 0:
-                    k += square(modes, i, q, g, h)
-                else:
-                    k += block(p, M, corner(p, M, g, two, False), corner(p, M, h, two, False), two, False)
+                ca, cb = corner(p, M, g, two, False), corner(p, M, h, two, False)
+                k += block(p, M, ca, cb, two, False) + added(p, modes, i, q, ca, cb)
                 va += p.w * (p.C * g)
                 vb += p.w * (p.C * h)
             if dilatation.shape[0] > 0:
@@ -281,34 +286,6 @@ class Tangents:
                         K[s, e, 3 * a + j, 3 * b + m] = K[s, e, 3 * a + j, 3 * b + m] + k[j, m]
                     else:
                         K[s, e, 3 * a + j, 3 * b + m] = k[j, m]
-
-        @func
-        def add_squares(
-            K: wp.array2d(dtype=mat),
-            p: Point,
-            M: mat,
-            corners: wp.array(dtype=Corner),
-            squares: wp.array2d(dtype=vec),
-            modes: wp.array3d(dtype=mat),
-            i: int,
-            q: int,
-            count: int,
-            remembers: bool,
-        ):
-            """Add the projected blocks of a point to K (a, a)."""
-            for a in range(count):
-                for n in range(9):
-                    squares[a, n] = modes[i, q, n] * corners[a].g
-            for a in range(count):
-                for b in range(a, count):
-                    k = K[a, b]
-                    for n in range(9):
-                        k += wp.outer(squares[a, n], squares[b, n])
-                    if remembers:
-                        g, h = corners[a].g, corners[b].g
-                        k += (p.w * wp.dot(g, M * h) + p.same * wp.dot(g, h)) * wp.identity(n=3, dtype=r)
-                        k += p.same * wp.outer(corners[a].c, corners[b].c)
-                    K[a, b] = k
 
         @kernel
         def cell_blocks(
@@ -321,7 +298,6 @@ class Tangents:
             dilatation: wp.array(dtype=r),
             two: wp.bool,
             corners: wp.array(dtype=Corner),
-            squares: wp.array2d(dtype=vec),
             volume: wp.array(dtype=vec),
             K: wp.array2d(dtype=mat),
             entries: wp.array2d(dtype=wp.int32),
@@ -329,8 +305,7 @@ class Tangents:
         ):
             """Add d2E/dx2 to the entries of a sparse matrix, for a core: a thread for each cell, one after the other.
 
-            `entries` (e, 3a*3a): where, -1 where an entry is not stored. Work space: corners (a), squares (a, 9),
-            volume (a), K (a, a).
+            `entries` (e, 3a*3a): where, -1 where an entry is not stored. Work space: corners (a), volume (a), K (a, a).
             """
             i = wp.tid()
             pair = item(items, i, entries.shape[0])
@@ -350,13 +325,14 @@ class Tangents:
                     o = corner(p, M, single(B[slots[s], e, q, a]), two, remembers)
                     corners[a] = o
                     volume[a] = volume[a] + p.w * o.c
-                if p.projected == 0:
-                    for a in range(count):
-                        o = corners[a]
-                        for b in range(a, count):
-                            K[a, b] = K[a, b] + block(p, M, o, corners[b], two, remembers)
-                else:
-                    add_squares(K, p, M, corners, squares, modes, i, q, count, remembers)
+                project = p.negative > 0 or p.bound > r(0.0)
+                for a in range(count):
+                    o = corners[a]
+                    for b in range(a, count):
+                        k = K[a, b] + block(p, M, o, corners[b], two, remembers)
+                        if project:
+                            k += added(p, modes, i, q, o, corners[b])
+                        K[a, b] = k
             for a in range(count):
                 for b in range(a, count):
                     k = K[a, b] + dilatation[i] * wp.outer(volume[a], volume[b])
