@@ -32,6 +32,45 @@ def slopes_in_stretches(d: Derivatives, s: wp.vec3d) -> wp.mat33d:
     return H
 
 
+@wp.func
+def rotated(A: wp.mat33d, V: wp.mat33d, p: int, q: int):
+    """A and V after the Jacobi rotation that makes A[p, q] zero."""
+    if A[p, q] != real(0.0):
+        r = 3 - p - q
+        h = (A[q, q] - A[p, p]) / (real(2.0) * A[p, q])
+        t = wp.where(h < real(0.0), real(-1.0), real(1.0)) / (wp.abs(h) + wp.sqrt(h * h + real(1.0)))
+        c = real(1.0) / wp.sqrt(t * t + real(1.0))
+        s = t * c
+        A[p, p] -= t * A[p, q]
+        A[q, q] += t * A[p, q]
+        A[p, q] = real(0.0)
+        u, v = A[wp.min(r, p), wp.max(r, p)], A[wp.min(r, q), wp.max(r, q)]
+        A[wp.min(r, p), wp.max(r, p)] = c * u - s * v
+        A[wp.min(r, q), wp.max(r, q)] = s * u + c * v
+        for k in range(3):
+            x, y = V[k, p], V[k, q]
+            V[k, p] = c * x - s * y
+            V[k, q] = s * x + c * y
+    return A, V
+
+
+@wp.func
+def eigensystem(A: wp.mat33d):
+    """Eigenvectors, in columns, and eigenvalues of the symmetric A, of which the upper triangle is used.
+
+    By cyclic Jacobi: with wp.eig3 projected tangents take half as long again.
+    """
+    V = wp.identity(n=3, dtype=real)
+    for _ in range(12):
+        off = A[0, 1] * A[0, 1] + A[0, 2] * A[0, 2] + A[1, 2] * A[1, 2]
+        if off < real(1e-22) * (A[0, 0] * A[0, 0] + A[1, 1] * A[1, 1] + A[2, 2] * A[2, 2]):
+            break
+        A, V = rotated(A, V, 0, 1)
+        A, V = rotated(A, V, 0, 2)
+        A, V = rotated(A, V, 1, 2)
+    return V, wp.vec3d(A[0, 0], A[1, 1], A[2, 2])
+
+
 @wp.struct
 class Stretches:
     """F = U diag(s) V^T; eigenvectors and eigenvalues of d2W/ds2."""
@@ -46,7 +85,7 @@ class Stretches:
 @wp.func
 def stretches(F: wp.mat33d, d: Derivatives) -> Stretches:
     o = Stretches()
-    V, squared = wp.eig3(wp.transpose(F) * F)
+    V, squared = eigensystem(wp.transpose(F) * F)
     o.V = V
     o.s = wp.vec3d(wp.sqrt(squared[0]), wp.sqrt(squared[1]), wp.sqrt(squared[2]))
     U = F * V
@@ -54,7 +93,7 @@ def stretches(F: wp.mat33d, d: Derivatives) -> Stretches:
         for j in range(3):
             U[i, j] = U[i, j] / o.s[j]
     o.U = U
-    scaling, values = wp.eig3(slopes_in_stretches(d, o.s))
+    scaling, values = eigensystem(slopes_in_stretches(d, o.s))
     o.scaling = scaling
     o.values = values
     return o
