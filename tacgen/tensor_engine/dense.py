@@ -3,8 +3,10 @@
 import torch
 from torch import Tensor
 
-BASE = 320  # rows up to which a matrix is inverted by kernels of its own on a GPU, or by LAPACK; larger ones by halves
-STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
+MAX_DIRECT_ROWS = (
+    320  # rows up to which a matrix is inverted by kernels of its own on a GPU, or by LAPACK; larger ones by halves
+)
+UPDATE_STRIP_COLUMNS = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
 
 
 def fused(x: Tensor) -> bool:
@@ -24,11 +26,11 @@ def invert_factor(A: Tensor) -> Tensor:
     numbers mean nothing.
     """
     n = A.shape[-1]
-    if n <= BASE and fused(A):
+    if n <= MAX_DIRECT_ROWS and fused(A):
         from tacgen.tensor_engine import gpu_blocks
 
         return gpu_blocks.lower_inverse(A)
-    if n <= BASE:
+    if n <= MAX_DIRECT_ROWS:
         L, info = torch.linalg.cholesky_ex(A)
         A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))
         return info
@@ -46,8 +48,8 @@ def invert_factor(A: Tensor) -> Tensor:
 def times_transposed(A: Tensor, L: Tensor) -> Tensor:
     """A L^T of A (b, m, w) and lower triangles L (b, w, w)."""
     w, out = L.shape[-1], A.new_empty(A.shape)
-    for at in range(0, w, STRIP):
-        to = min(at + STRIP, w)
+    for at in range(0, w, UPDATE_STRIP_COLUMNS):
+        to = min(at + UPDATE_STRIP_COLUMNS, w)
         out[:, :, at:to].baddbmm_(A[:, :, :to], L[:, at:to, :to].mT, beta=0)
     return out
 
@@ -56,7 +58,7 @@ def squared(L: Tensor) -> Tensor:
     """L L^T from the diagonal down, of L (b, m, w); numbers elsewhere mean nothing."""
     m = L.shape[1]
     out = L.new_empty(len(L), m, m)
-    for at in range(0, m, STRIP):
-        to = min(at + STRIP, m)
+    for at in range(0, m, UPDATE_STRIP_COLUMNS):
+        to = min(at + UPDATE_STRIP_COLUMNS, m)
         out[:, at:, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, beta=0)
     return out

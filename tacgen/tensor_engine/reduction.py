@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.dense import BASE, half, invert_factor
+from tacgen.tensor_engine.dense import MAX_DIRECT_ROWS, half, invert_factor
 from tacgen.tensor_engine.products import Used, slot_times
 from tacgen.tensor_engine.replay import rare
 
@@ -124,11 +124,11 @@ def eliminate(W: Tensor, n: int, own: Own | None = None, first: int = 0) -> Tens
 
     Returns which A (s,), if they are symmetric, are positive definite.
     """
-    if n <= BASE and W.is_cuda and W.dtype == torch.float32:
+    if n <= MAX_DIRECT_ROWS and W.is_cuda and W.dtype == torch.float32:
         from tacgen.tensor_engine import gpu_blocks
 
         return gpu_blocks.eliminate(W, n, own, first)
-    if n <= BASE:
+    if n <= MAX_DIRECT_ROWS:
         A, B = W[..., :n], W[..., n:]
         positive = torch.linalg.cholesky_ex(A)[1] == 0
         B.copy_(torch.linalg.solve_ex(A, B)[0])

@@ -11,7 +11,7 @@ from helpers import presses
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.linear_solvers import best
-from tacgen.tensor_engine import grids, multifrontal
+from tacgen.tensor_engine import dense, grids
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
@@ -89,8 +89,8 @@ def refined(solve, times, b, rounds):
     [((10, 9, 3), {}), ((10, 9, 3), {"quartered": 0, "most_groups": 1}), ((7, 13, 2), {"quartered": 99, "leaf": 2})],
 )
 def test_solves_and_schur_complements_are_those_of_the_whole_matrix(cells, how, monkeypatch):
-    for name in ("BASE", "STRIP"):  # small fronts take every path
-        monkeypatch.setattr(multifrontal, name, 36)
+    for name in ("MAX_DIRECT_ROWS", "UPDATE_STRIP_COLUMNS"):  # small fronts take every path
+        monkeypatch.setattr(dense, name, 36)
     pattern = GridPattern(cells)
     elements, K = matrices(pattern, void=(0, 1, 2, 30, 31))
     solver = Multifrontal(dissected(pattern, **how), dtype=torch.float64)

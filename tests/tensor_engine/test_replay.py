@@ -220,7 +220,7 @@ def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.M
     b.t.x[0, int(b.topology.conn[4, 6])] -= 0.4
 
     def tangents(s: torch.Tensor) -> torch.Tensor:
-        K = torch.zeros(len(rows), len(b.topology.conn), 24, 24, dtype=torch.float64)
+        K = torch.zeros(len(s), len(b.topology.conn), 24, 24, dtype=torch.float64)
         b.folded(s, b.t.x[s]).add_tangents(K, Projection.NONE)
         return K
 
