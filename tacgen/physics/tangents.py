@@ -12,7 +12,7 @@ energy that have negative eigenvalues (Smith, de Goes & Kim 2019, "Analytic eige
 energies"). In a viscoelastic gel it adds bounds of what M : F^T F / 2 can lack: with m = F M g and n = |F M|, the mixed
 derivatives with J, b (m c' + c m'), are at least -b n ((g.h) 1 + c c'), and M is at least -|M| 1.
 
-Points are computed in double precision; the sums over pairs of corners in `Tangents.real`, which is single precision
+Points are computed in double precision; the sums over pairs of corners in that of `Tangents`, which is single precision
 in batches.
 """
 
