@@ -121,6 +121,6 @@ class Elastic:
 
     def mean_stress(self, at: Point) -> tuple[Array, Array]:
         """Element means (e, 3, 3) [MPa]: of the Cauchy stress over the current volume, of P over that at rest."""
-        e = self.elements.weights
-        current = (at.stress @ at.F.swapaxes(-1, -2)).sum(1) / (e * at.J).sum(1)[:, None, None]
-        return current, at.stress.sum(1) / e.sum(1)[:, None, None]
+        sigma, volume = self.cauchy(at)
+        current = (volume[..., None, None] * sigma).sum(1) / volume.sum(1)[:, None, None]
+        return current, at.stress.sum(1) / self.elements.weights.sum(1)[:, None, None]

@@ -20,11 +20,11 @@ def _folder() -> str:
 
 
 # Inlining up to 1000 instructions doubles the speed of tangents; Warp's own limit, 9000, compiles for a minute.
-FLAGS = "-march=native -mllvm=-inline-threshold=1000 -mllvm=-slp-recursion-max-depth=4"
+COMPILER_FLAGS = "-march=native -mllvm=-inline-threshold=1000 -mllvm=-slp-recursion-max-depth=4"
 MAX_UNROLLED_STEPS = 3  # of a loop; more compiles for longer and runs no faster
 
 wp.config.quiet, wp.config.log_level = True, wp.LOG_WARNING
-wp.config.cpu_compiler_flags = FLAGS
+wp.config.cpu_compiler_flags = COMPILER_FLAGS
 wp.config.max_unroll = MAX_UNROLLED_STEPS
 wp.config.enable_backward = False
 wp.config.kernel_cache_dir = _folder()

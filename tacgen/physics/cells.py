@@ -10,7 +10,6 @@ from tacgen.physics import elements, laws, tangents
 from tacgen.physics.runtime import Launches, array, launch
 
 Array = np.ndarray
-MOST_CORNERS = 10  # of an element
 
 
 def around(conn: Array, nodes: int) -> tuple[Array, Array]:
@@ -163,9 +162,9 @@ def add_blocks(
     data: Array,
 ) -> None:  # fmt: skip
     kernels = tangents.double()
-    corners = wp.empty(MOST_CORNERS, dtype=kernels.Corner, device="cpu")
-    volume = wp.empty(MOST_CORNERS, dtype=kernels.vec, device="cpu")
-    K = wp.empty((MOST_CORNERS, MOST_CORNERS), dtype=kernels.mat, device="cpu")
+    corners = wp.empty(elements.MAX_CORNERS, dtype=kernels.Corner, device="cpu")
+    volume = wp.empty(elements.MAX_CORNERS, dtype=kernels.vec, device="cpu")
+    K = wp.empty((elements.MAX_CORNERS, elements.MAX_CORNERS), dtype=kernels.mat, device="cpu")
     launch(
         kernels.cell_blocks, (len(dilatation),), B, rows, items, points, kept, modes, dilatation, two, corners,
         volume, K, entries, data,

@@ -12,7 +12,8 @@ from tacgen.physics.laws import J0, TWO_THIRDS, Coefficients, clamped_log, isoch
 
 SMALLEST_J = 1e-9  # J below which the energy is infinite, so that divisions by J do not overflow [-]
 MAX_PREDICTED_RATIO = 2.0  # of the predicted J to the true one, and of the true one to the predicted [-]
-Corners = wp.types.matrix(shape=(10, 3), dtype=real)  # positions of at most as many [mm]
+MAX_CORNERS = 10  # nodes of the largest element, the quadratic tet
+Corners = wp.types.matrix(shape=(MAX_CORNERS, 3), dtype=real)  # positions [mm]
 LEAST = wp.constant(real(SMALLEST_J))
 MOST = wp.constant(real(MAX_PREDICTED_RATIO))
 
@@ -34,6 +35,32 @@ def positive_J(F: wp.mat33d) -> real:
 def near(predicted: real, J: real) -> real:
     """The predicted J, kept near the true one."""
     return wp.clamp(predicted, J / MOST, MOST * J)
+
+
+@wp.func
+def means(
+    F: wp.array3d(dtype=wp.mat33d),
+    weights: wp.array3d(dtype=real),
+    predicted: wp.array3d(dtype=real),
+    s: int,
+    slot: int,
+    e: int,
+) -> wp.vec3d:
+    """Volume of a cell, its mean J and the mean of the predicted J, 1 in void cells; without rows in `predicted` the
+    two are equal."""
+    volume, mean, ahead = real(0.0), real(0.0), real(0.0)
+    for q in range(weights.shape[2]):
+        w = weights[slot, e, q]
+        J = positive_J(F[s, e, q])
+        volume += w
+        mean += w * J
+        if predicted.shape[0] > 0:
+            ahead += w * near(predicted[slot, e, q], J)
+        else:
+            ahead += w * J
+    if volume <= real(0.0):
+        return wp.vec3d(volume, real(1.0), real(1.0))
+    return wp.vec3d(volume, mean / volume, ahead / volume)
 
 
 @wp.func
@@ -96,31 +123,20 @@ def states(
     slot = slots[s]
     law = laws[slot, e]
     mixed = predicted.shape[0] > 0
-    volume, mean, ahead = real(0.0), real(0.0), real(0.0)
     inverted = bool(False)
-    for q in range(weights.shape[2]):
-        w = weights[slot, e, q]
-        Jq = wp.determinant(F[s, e, q])
-        if not Jq > LEAST:
-            inverted = inverted or w != real(0.0)
-            Jq = real(1.0)
-        volume += w
-        mean += w * Jq
-        if mixed:
-            ahead += w * near(predicted[slot, e, q], Jq)
-    void = volume <= real(0.0)
-    mean = wp.where(void, real(1.0), mean / volume)
-    U = volumetric(law, mean)
+    mean = means(F, weights, predicted, s, slot, e)
+    U = volumetric(law, mean[1])
     change = real(0.0)  # of the pressure, from the true mean J to the predicted one
     if mixed:
-        change = volumetric(law, wp.where(void, real(1.0), ahead / volume))[1] - U[1]
-    total = (real(1.0) - local) * volume * U[0]
+        change = volumetric(law, mean[2])[1] - U[1]
+    total = (real(1.0) - local) * mean[0] * U[0]
     for q in range(weights.shape[2]):
         w = weights[slot, e, q]
         Fq = F[s, e, q]
         C = cofactor(Fq)
         Jq = wp.dot(Fq[0], C[0])
         if not Jq > LEAST:
+            inverted = inverted or w != real(0.0)
             Jq = real(1.0)
         I1 = wp.ddot(Fq, Fq)
         d = isochoric(law, I1, wp.ddot(C, C), Jq)

@@ -21,7 +21,7 @@ from typing import Any
 
 import warp as wp
 
-from tacgen.physics.elements import LEAST, cofactor, corners_of, item, mapped, near, positive_J
+from tacgen.physics.elements import LEAST, cofactor, corners_of, item, mapped, means, near, positive_J
 from tacgen.physics.laws import TWO_THIRDS, Coefficients, Derivatives, clamped_log, isochoric, real, volumetric
 from tacgen.physics.projection import Stretches, eigenmatrix, eigenvalue, strained, stretches
 
@@ -176,21 +176,10 @@ class Tangents:
             slot = slots[s]
             law = laws[slot, e]
             mixed = predicted.shape[0] > 0
-            volume, mean, ahead = real(0.0), real(0.0), real(0.0)
-            for q in range(weights.shape[2]):
-                w = weights[slot, e, q]
-                J = positive_J(F[s, e, q])
-                volume += w
-                mean += w * J
-                if mixed:
-                    ahead += w * near(predicted[slot, e, q], J)
-            void = volume <= real(0.0)
-            mean = wp.where(void, real(1.0), mean / volume)
+            mean = means(F, weights, predicted, s, slot, e)
             share = real(1.0) - local
-            dilatation[i] = r(wp.where(void, real(0.0), share * volumetric(law, mean)[2] / volume))
-            if mixed:
-                mean = wp.where(void, real(1.0), ahead / volume)
-            pressure = share * volumetric(law, mean)[1]
+            dilatation[i] = r(wp.where(mean[0] > real(0.0), share * volumetric(law, mean[1])[2] / mean[0], real(0.0)))
+            pressure = share * volumetric(law, mean[2])[1]
             for q in range(weights.shape[2]):
                 w = weights[slot, e, q]
                 Fq = F[s, e, q]
@@ -362,4 +351,5 @@ def double() -> Tangents:
 
 @cache
 def single() -> Tangents:
+    """For batches."""
     return Tangents(wp.float32, "tacgen.physics.single")

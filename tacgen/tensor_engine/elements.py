@@ -85,7 +85,7 @@ class Hexes:
     @cached_property
     def numbers(self) -> Tensor:
         """The slots (s,), of all scenes too."""
-        return (torch.arange(len(self.B), device=self.B.device) if self.slots is None else self.slots).int()
+        return slot_numbers(self.slots, self.B)
 
     def deformation(self, x: Tensor) -> Tensor:
         """F (s, e, q, 3, 3) at positions x (s, n, 3)."""
@@ -146,7 +146,7 @@ class Hexes:
     ) -> tuple[Tensor, Tensor]:
         """F (s, e, q, 3, 3) at x (s, n, 3) and d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner +
         direction; with the pressure at the predicted J (capacity, e, q) if given. dtype: in which they are summed."""
-        kernels, F = tangents.double() if dtype is torch.float64 else tangents.single(), self.deformation(x)
+        kernels, F = kernels_of(dtype), self.deformation(x)
         s, e, q = F.shape[:3]
         K, dilatation = F.new_empty(s, e, 24, 24, dtype=dtype), F.new_empty(s * e, dtype=dtype)
         points = room(kernels.Point, (s * e, q), F)
@@ -160,6 +160,16 @@ class Hexes:
             self.laws.two_invariants, False, e, K,
         )  # fmt: skip
         return F, K
+
+
+def slot_numbers(slots: Tensor | None, rows: Tensor) -> Tensor:
+    """Slots (s,) as kernels take them; None: those of all rows."""
+    return (torch.arange(len(rows), device=rows.device) if slots is None else slots).int()
+
+
+def kernels_of(dtype: torch.dtype) -> tangents.Tangents:
+    """The kernels of tangents with sums in this precision."""
+    return tangents.double() if dtype is torch.float64 else tangents.single()
 
 
 def mapped(corners: Tensor, dN: Array) -> tuple[Tensor, Tensor]:

@@ -14,10 +14,10 @@ from tacgen.fem.elements import grid_points
 from tacgen.fem.folding_barrier import INVERSION_BARRIER_STIFFNESS
 from tacgen.fem.jacobian import JACOBIAN_TABLES, MAX_SUBDIVISIONS
 from tacgen.fem.potential import Projection
-from tacgen.physics import elements, tangents
+from tacgen.physics import elements
 from tacgen.physics.laws import INVERSION_BARRIER_J0
 from tacgen.physics.runtime import launch, room
-from tacgen.tensor_engine.elements import Topology
+from tacgen.tensor_engine.elements import Topology, kernels_of, slot_numbers
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.replay import rare, recording
 from tacgen.tensor_engine.replay import room as recorded_room
@@ -46,7 +46,7 @@ class Folding:
         """Add d2E/dx2 to the cells' tangents out (s, e, 24, 24)."""
         if not len(self.items):
             return
-        kernels = tangents.double() if out.dtype is torch.float64 else tangents.single()
+        kernels = kernels_of(out.dtype)
         k, q, b = len(self.items), len(INVERSION_POINT_GRADIENTS), self.barriers
         points = room(kernels.Point, (k, q), out)
         modes = None if projection is Projection.NONE else room(kernels.mat, (k, q, 9), out)
@@ -95,7 +95,7 @@ class FoldingBarriers:
     @cached_property
     def numbers(self) -> Tensor:
         """The slots of the scenes of a call."""
-        return (torch.arange(len(self.rest), device=self.rest.device) if self.slots is None else self.slots).int()
+        return slot_numbers(self.slots, self.rest)
 
     def _folds(self, x: Tensor, want: bool) -> tuple[Tensor, Tensor]:
         """Energies (s, e) of cells at x (s, n, 3) and, if wanted, forces (s, e, 8, 3) on their corners."""
