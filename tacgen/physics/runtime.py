@@ -1,7 +1,10 @@
 """Warp: its settings, machine code that is kept for the next process, and launches on arrays of NumPy or PyTorch."""
 
+import ctypes
+import importlib
 import math
 import tempfile
+import threading
 import warnings
 from functools import cache
 from pathlib import Path
@@ -12,15 +15,22 @@ import warp as wp
 
 from tacgen.base import array_cache, compiled
 
-MODULE = "tacgen.physics"  # of all kernels that a core runs
+MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
+OPTICS = "tacgen.optics"  # of all kernels of pictures
+# the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
+KERNEL_FILES = {MODULE: ("elements", "tangents"), OPTICS: tuple[str, ...]()}
+MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 
 
 @cache
 def load(module: str, device: str) -> None:
     """Load the machine code of a module; for a core the first process compiles it, and others find it."""
-    from tacgen.physics import tangents
+    for kernels in KERNEL_FILES.get(module, ()):
+        importlib.import_module(f"tacgen.physics.{kernels}")
+    if module == MODULE:
+        from tacgen.physics import tangents
 
-    assert module == (tangents.double() if module == MODULE else tangents.single()).module
+        tangents.double()
     if device != "cpu":
         wp.load_module(module, device)
         return
@@ -48,29 +58,62 @@ def array(values: Any, dtype: Any) -> wp.array:
 
 
 class Launches:
-    """Launches on a core of one object's kernels, recorded: to prepare one takes longer than to run it on few cells."""
+    """Launches on a core of one object's kernels, prepared: to prepare one takes longer than to run it on few cells."""
 
     def __init__(self) -> None:
-        self._recorded: dict[tuple[Any, ...], Any] = {}
+        self._prepared: dict[tuple[Any, ...], PreparedLaunch] = {}
 
     def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
         """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay."""
-        plain = [np.ascontiguousarray(value) if isinstance(value, np.ndarray) else value for value in values]
-        key = kernel, dim, *(_fixed(value) for value in plain)
-        if key not in self._recorded:
-            self._recorded[key] = launch(kernel, dim, *plain, record=True)
-        recorded = self._recorded[key]
-        for k, value in enumerate(plain, 1):  # the first parameter is the launch's size
+        key: list[Any] = [kernel, dim]
+        addresses, plain = [], []
+        for value in values:
             if isinstance(value, np.ndarray):
-                recorded.params[k].data = value.ctypes.data
-        recorded.launch()
+                row = value if value.flags.c_contiguous else np.ascontiguousarray(value)
+                key.append((row.shape, row.dtype.char))
+                addresses.append(row.__array_interface__["data"][0])
+                plain.append(row)  # lives until the kernel has run
+            else:
+                key.append(id(value) if isinstance(value, wp.array) else value)
+                plain.append(value)
+        asked = tuple(key)
+        prepared = self._prepared.get(asked)
+        if prepared is None:
+            if len(self._prepared) == MAX_PREPARED_LAUNCHES:
+                del self._prepared[next(iter(self._prepared))]
+            prepared = self._prepared[asked] = PreparedLaunch(kernel, dim, plain)
+        prepared.run(addresses)
 
 
-def _fixed(value: Any) -> Any:
-    """The part of an argument that a recorded launch keeps."""
-    if isinstance(value, np.ndarray):
-        return value.shape, value.dtype
-    return id(value) if isinstance(value, wp.array) else value
+class PreparedLaunch:
+    """A kernel's launch on a core with arrays of NumPy of certain shapes; their addresses are given to `run`."""
+
+    def __init__(self, kernel: wp.Kernel, dim: tuple[int, ...], values: list[Any]) -> None:
+        recorded = launch(kernel, dim, *values, record=True)
+        bounds, *params = recorded.params  # the first parameter is the launch's size
+        names = [f"p{k}" for k in range(len(params))]
+        fields = [(name, type(param)) for name, param in zip(names, params, strict=True)]
+        given: Any = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*params)
+        self._arrays = [
+            getattr(given, name) for name, value in zip(names, values, strict=True) if isinstance(value, np.ndarray)
+        ]
+        self._stays = [value for value in values if isinstance(value, wp.array)], bounds, recorded.module_exec, given
+        self._function, self._arguments = recorded.hooks.forward, (ctypes.byref(bounds), ctypes.byref(given))
+
+    def run(self, addresses: list[int]) -> None:
+        for there, address in zip(self._arrays, addresses, strict=True):
+            there.data = address
+        self._function(*self._arguments)
+
+
+_threads = threading.local()
+
+
+def call(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
+    """As `launch`, on a core, on arrays of NumPy; launches on arrays of the same shapes are prepared once."""
+    if not hasattr(_threads, "launches"):
+        _threads.launches = Launches()
+    _threads.launches(kernel, dim, *values)
 
 
 def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool = False) -> Any:
