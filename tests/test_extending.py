@@ -52,8 +52,25 @@ SHAPE = '''
 
 @dataclass(frozen=True)
 class PearlSdf(SphereSdf):
-    """A ball of another name."""
+    """A ball of another name, whose closest core point is another function."""
+
+    core: ClassVar[str] = "pearl"
 '''
+CORE = """@wp.func
+def pearl(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+    core = Core()
+    core.radius = shapes[s, A]
+    core.closest = wp.vec3d(real(0.0), real(0.0), core.radius)
+    core.out = wp.normalize(wp.vec3d(real(0.0), real(0.0), real(-2.0)))
+    return core
+
+
+@wp.func
+def core_of("""
+BRANCH = """    if kind == ShapeNumber.pearl:
+        return pearl(shapes, s, p)
+    return wedge(shapes, s, p)
+"""
 INDENTER = '''class Pearl(AnyIndenter):
     """A ball of another name."""
 
@@ -126,6 +143,18 @@ assert np.abs(bent.ravel() - K @ way.ravel()).max() < 1e-6 * np.abs(bent).max()
 made = wp.compile_aot_module(tangents.single().module, arch=90, module_dir="gpu")
 print(made[0].stat().st_size)
 """
+BALLS = """
+import numpy as np
+import warp as wp
+from tacgen.geometry.analytic_sdf import PearlSdf, SphereSdf
+from tacgen.physics import runtime
+
+p = np.random.default_rng(0).uniform(-3, 3, (500, 3))
+for found, known in zip(PearlSdf(2.0).distance(p), SphereSdf(2.0).distance(p), strict=True):
+    assert np.abs(found - known).max() < 1e-12
+made = wp.compile_aot_module(runtime.MODULE, arch=90, module_dir="gpu")
+print(made[0].stat().st_size)
+"""
 LAYER = '''class ToyLayer(IsochoricLayer):
     """A neo-Hookean law by shear and bulk modulus."""
 
@@ -157,11 +186,14 @@ TOYS = {
     ),
     "shape": Toy(
         (
+            Edit("tacgen/physics/cores.py", "    wedge = 7\n", "    wedge = 7\n    pearl = 8\n"),
+            Edit("tacgen/physics/cores.py", "@wp.func\ndef core_of(", CORE),
+            Edit("tacgen/physics/cores.py", "    return wedge(shapes, s, p)\n", BRANCH),
             Edit("tacgen/geometry/analytic_sdf.py", "", SHAPE),
             Edit("tacgen/recipe/indenters.py", "Indenter = Annotated[", INDENTER),
             Edit("tacgen/recipe/indenters.py", "| Mesh,", "| Pearl | Mesh,"),
         ),
-        2,
+        3,
         TOY_SHAPE,
         ("shapes", "A ball of another name"),
     ),
@@ -244,12 +276,13 @@ def test_new_things_work_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_new_formula_has_its_forces_and_tangent_on_a_core_and_compiles_for_a_gpu(tmp_path: Path) -> None:
-    """For sm_90, the H100's, by a machine that has no GPU."""
-    extended(tmp_path, "law")
+@pytest.mark.parametrize(("name", "program"), [("law", SLOPES), ("shape", BALLS)])
+def test_a_new_formula_runs_on_a_core_and_compiles_for_a_gpu(tmp_path: Path, name: str, program: str) -> None:
+    """For sm_90, the H100's, by a machine that has no GPU: a law's forces and tangents, a shape's distances."""
+    extended(tmp_path, name)
     known = os.environ | {"PYTHONPATH": str(tmp_path)}
     done = subprocess.run(
-        [sys.executable, "-c", SLOPES], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", program], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert int(done.stdout.split()[-1]) > 10_000

@@ -6,15 +6,18 @@ distance, normal and curvature are smooth wherever contact acts. In each cell of
 may be closest to its points, so that a distance takes a few triangles.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
 
+from tacgen.geometry.analytic_sdf import Record
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.sdf_grid import Field
-from tacgen.geometry.triangle_distance import correct, listed
+from tacgen.physics.edges import LIST, RADIUS, ROW_NUMBERS, SHARE, listed
+from tacgen.physics.runtime import call
+from tacgen.physics.splines import CELL, ORIGIN
 
 Array = np.ndarray
 MAX_SPLINE_ERROR = 0.05  # error of the spline over the cell, above which edges are computed exactly [-]
@@ -25,7 +28,6 @@ MAX_FLAT_SINE_SQUARED = 1e-3  # square of the sine of an angle of faces, below w
 # altitude of a triangle [mm] below which its normal is rounding error, and its neighbours' is taken
 MIN_ALTITUDE_MM = 1e-4
 HALF_DIAGONAL = np.sqrt(3) / 2  # half the diagonal of a cell over its side
-CACHED_QUERIES = 4  # answers that are kept: of two positions, at the condensed facets and at all
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,27 +50,16 @@ class SharpField(Field):
     body: Array
 
     @cached_property
-    def _latest(self) -> dict[bytes, tuple[Array, Array, Array]]:
-        """The last answers by the bytes of their points, the oldest first."""
-        return {}
-
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
-        """See Field; read-only. Steps, line searches and checks of contact ask for the same points several times."""
-        p, latest = np.ascontiguousarray(p, float), self._latest
-        key = p.tobytes()
-        answer = latest.pop(key) if key in latest else self._distance(p)
-        if len(latest) == CACHED_QUERIES:
-            del latest[next(iter(latest))]
-        latest[key] = answer
-        return answer
-
-    def _distance(self, p: Array) -> tuple[Array, Array, Array]:
-        d, g, H = super().distance(p)
-        lists = self.first, self.start, self.near, self.away, self.triangles, self.body
-        correct(p, self.origin, self.cell, self.radius, self.share, *lists, d, g, H)
-        for part in (d, g, H):
-            part.flags.writeable = False
-        return d, g, H
+    def record(self) -> Record:
+        numbers, values, _ = super().record
+        parts = values, self.share.ravel(), self.away, self.triangles.ravel()
+        lists = self.first.ravel(), self.start, self.near, self.body
+        numbers[0, RADIUS] = self.radius
+        numbers[0, SHARE:LIST] = np.cumsum([part.size for part in parts])[:-1]
+        numbers[0, LIST:ROW_NUMBERS] = np.cumsum([0, *(part.size for part in lists)])[:-1]
+        return Record(
+            numbers, np.concatenate(parts, dtype=float), np.concatenate(lists, dtype=np.int32, casting="unsafe")
+        )
 
 
 def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tuple[Array, ...]:
@@ -97,13 +88,16 @@ def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tu
     reach = far + 2 * HALF_DIAGONAL * cell  # what is closest to a point of the cell is no farther from its middle
     first = np.full(share.shape, -1, np.int32)
     first[tuple(cells.T)] = np.arange(len(cells))
-    asked = table, first, origin, cell, reach
-    counts = listed(*asked, np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    start = np.concatenate([[0], np.cumsum(counts)])
-    near, away = np.empty(start[-1], np.int32), np.empty(start[-1], np.float32)
-    listed(*asked, start[:-1].copy(), near, away)
+    counts, none = np.zeros(len(cells), np.int32), np.zeros(0, np.int32)
+    numbers = np.zeros((1, ROW_NUMBERS))
+    numbers[0, ORIGIN : CELL + 1] = *origin, cell
+    asked = numbers, table.ravel(), first, reach, float(reach.max())
+    call(listed, (1,), *asked, none, counts, none, np.zeros(0))
+    start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    near, away = np.empty(start[-1], np.int32), np.empty(start[-1])
+    call(listed, (1,), *asked, start[:-1], np.zeros_like(counts), near, away)
     order = np.lexsort((away, solid.body[near], np.repeat(np.arange(len(counts)), counts)))
-    return share.astype(np.float32), first, start, near[order], away[order], table
+    return share.astype(np.float32), first, start, near[order], away[order].astype(np.float32), table
 
 
 def sharpened(field: Field, known: tuple[Array, ...], radius: float, body: Array) -> Field:
@@ -112,7 +106,7 @@ def sharpened(field: Field, known: tuple[Array, ...], radius: float, body: Array
     if not share.size:
         return field
     return SharpField(
-        **vars(field),
+        **{part.name: getattr(field, part.name) for part in fields(field)},
         radius=radius,
         share=share,
         first=first,

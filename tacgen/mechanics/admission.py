@@ -89,7 +89,7 @@ def _record(
         None if step.prediction is None else step.prediction.error(solution.x),
         None if step.prediction is None else step.prediction.x,
     )
-    mean = contact.mean_gap(solution.x)
+    mean = forces.mean_gap if forces.N.any() else contact.offset
     residual, balance, least_J = quality
     return after, State(
         now.index, now.legs[0].b, solution.x, forces.N, forces.normal, friction, sliding, now.steps, 1, contact.offset,

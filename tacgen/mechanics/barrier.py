@@ -5,6 +5,8 @@ Li et al. (2020), "Incremental Potential Contact", clamped barrier; scaled to a 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +15,11 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_areas, facet_points, facet_shares
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
+from tacgen.physics import contact as kernels
+from tacgen.physics.runtime import call
 
 Array = np.ndarray
-# gap over dhat below which the barrier is a parabola, so that Newton can start from an overlap [-]
-PARABOLA_GAP_RATIO = 0.5
+NO_VECTORS, NO_MATRICES = np.zeros((0, 0, 0, 3)), np.zeros((0, 0, 0, 3, 3))
 
 
 def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
@@ -33,12 +36,10 @@ def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
     Returns:
         b [mm], db/dd [-], d2b/dd2 [1/mm], each of the shape of d.
     """
-    s = d / dhat
-    t = np.clip(s, PARABOLA_GAP_RATIO, 1.0)
-    ln, r = np.log(t), 1 - t
-    b, db, ddb = -(r**2) * ln, 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
-    below = np.minimum(s - PARABOLA_GAP_RATIO, 0.0)
-    return dhat * (b + db * below + ddb / 2 * below**2), db + ddb * below, ddb / dhat
+    out = np.empty((d.size, 3))
+    call(kernels.barriers, (d.size,), np.ascontiguousarray(d, float).ravel(), float(dhat), out)
+    b, db, ddb = out.T
+    return b.reshape(d.shape), db.reshape(d.shape), ddb.reshape(d.shape)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Faces:
     def on(cls, pattern: Pattern | None, points: Array, facets: Array, along: int = 2) -> "Faces":
         """With this number of points `along` each side of a quad; without slots if there is no pattern."""
         N, _, _ = facet_points(facets.shape[1], along)
-        facets = np.ascontiguousarray(facets)  # another memory layout would compile the loops again
+        facets = np.ascontiguousarray(facets, np.int32)
         slots = np.zeros((len(facets), 0), np.int32) if pattern is None else pattern.slots(facets)
         return cls(facets, N, facet_areas(points, facets, along)[0], slots)
 
@@ -84,6 +85,16 @@ class Faces:
         assembly.add_point_blocks(D, self.N, self.slots[which], data)
 
 
+class Gaps(NamedTuple):
+    """Points `at` (f, q, 3) of facets, their distances d (f, q) [mm] from an indenter, not shrunk, gradients n
+    (f, q, 3) and Hessians H (f, q, 3, 3) [1/mm], in the sensor's frame."""
+
+    at: Array
+    d: Array
+    n: Array
+    H: Array
+
+
 @dataclass(frozen=True)
 class Contact:
     """The barrier between the coated face and an indenter shrunk by `offset`.
@@ -102,36 +113,38 @@ class Contact:
     def moved(self, pose: Pose, offset: float) -> "Contact":
         return replace(self, pose=pose, offset=offset)
 
-    def gaps(self, x: Array) -> tuple[Array, Array, Array]:
-        """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""
-        return self.gaps_at(self.faces.at(x))
+    def gaps(self, x: Array) -> Gaps:
+        """The points and their distances at nodes x (n, 3)."""
+        wide = (*self.faces.areas.shape, 3)
+        at, n, H, d = np.empty((1, *wide)), np.empty((1, *wide)), np.empty((1, *wide, 3)), np.empty((1, *wide[:2]))
+        call(kernels.gaps, d.shape, x[None], *self.arrays, at, d, n, H)
+        return Gaps(at[0], d[0], n[0], H[0])
 
-    def gaps_at(self, at: Array) -> tuple[Array, Array, Array]:
-        """Gap [mm], normal and Hessian, as of `gaps`, at points (f, q, 3)."""
-        R = self.pose.rotation
-        d, n, H = self.shape.distance(self.pose.local(at).reshape(-1, 3))
-        fq = at.shape[:2]
-        return d.reshape(fq) + self.offset, (n @ R.T).reshape(*fq, 3), (R @ H @ R.T).reshape(*fq, 3, 3)
+    def gap(self, x: Array) -> Array:
+        """Gap to the shrunk indenter (f, q) [mm] alone, at nodes x (n, 3)."""
+        d = np.empty((1, *self.faces.areas.shape))
+        call(kernels.gaps, d.shape, x[None], *self.arrays, NO_VECTORS, d, NO_VECTORS, NO_MATRICES)
+        return np.asarray(d[0] + self.offset)
 
-    def gap(self, at: Array) -> Array:
-        """Gap to the shrunk indenter (f, q) [mm] alone, at points (f, q, 3)."""
-        return self.shape.value(self.pose.local(at).reshape(-1, 3)).reshape(at.shape[:2]) + self.offset
+    @cached_property
+    def arrays(self) -> tuple[Array, ...]:
+        """Facets, their shape functions and areas, the pose and the indenter, as kernels take them."""
+        f = self.faces
+        return f.conn[None], f.N, f.areas[None], *self.placed
 
-    def pressure(self, x: Array) -> tuple[Array, Array, Array]:
-        """Force of each quadrature point on the indenter (f, q) [N], normals (f, q, 3) and gaps (f, q) [mm]."""
-        d, n, _ = self.gaps(x)
-        slope = np.maximum(np.linalg.norm(n, axis=2), 1e-12)  # 1 except for interpolated distances
-        return -self.kappa * self.faces.areas * barrier(d, self.dhat)[1] * slope, n / slope[..., None], d
+    @cached_property
+    def placed(self) -> tuple[Array, ...]:
+        """The pose and the indenter, as kernels take them."""
+        return self.pose.rotation[None], self.pose.position[None], *self.shape.record
 
-    def mean_gap(self, x: Array) -> float:
-        """Force-weighted mean gap to the shrunk indenter [mm]; the present offset without contact."""
-        force, _, gap = self.pressure(x)
-        total = force.sum()
-        return float((force * gap).sum() / total) if total > 0 else self.offset
+    @cached_property
+    def numbers(self) -> tuple[Array, ...]:
+        """kappa, dhat and offset (1,), as kernels take them."""
+        return tuple(np.array([part], float) for part in (self.kappa, self.dhat, self.offset))
 
     def least(self, x: Array) -> float:
         """Smallest gap to the shrunk indenter [mm]."""
-        return float(self.gap(self.faces.at(x)).min())
+        return float(self.gap(x).min())
 
     def max_step(self, gap: Array, p: Array) -> float:
         """Largest part of step p (n, 3) without tunnelling, from gaps (f, q) [mm]. Distance is 1-Lipschitz: a point

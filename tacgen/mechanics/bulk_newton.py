@@ -272,7 +272,7 @@ def on_condensed(condensed: Condensation, contact: CoupledContact) -> CoupledCon
 
 def touched(history: History, contact: Contact, x: Array) -> Array:
     """The facets (f,) on which the indenter acts; if none, those on which it acted last, or the nearest."""
-    gap = contact.gap(contact.faces.at(x))
+    gap = contact.gap(x)
     now = (gap < contact.dhat).any(1)
     if now.any():
         return np.asarray(now)

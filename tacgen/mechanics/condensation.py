@@ -44,7 +44,8 @@ class Condensation:
         self.whole, self._order, self._at_rest = whole, dissection(whole), at_rest
         self._free = np.zeros((whole.nodes, 3), bool)
         self._free.ravel()[whole.free] = True
-        self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed nodes; their numbers
+        # condensed nodes; their numbers
+        self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1, np.int32)
         self._factored = 0  # number of factorisations, except those in _rest
         self._rest: _AtRest | None = None
         self.usable = False
@@ -52,7 +53,7 @@ class Condensation:
     def cover(self, facets: Array) -> None:
         """Condense to the nodes of these facets (f, a) from now on."""
         self.nodes = np.unique(facets)
-        self.local = np.full(self.whole.nodes, -1)
+        self.local = np.full(self.whole.nodes, -1, np.int32)
         self.local[self.nodes] = np.arange(len(self.nodes))
         free = self._free[self.nodes]
         self.dofs = np.full(free.shape, -1)  # (k, 3) number among the condensed unknowns, -1 where held

@@ -151,7 +151,7 @@ def contact_step(
     if now.length <= contact.contact.dhat and forces.N.any():  # far from the solution the mean gap is meaningless
         drift = forces.mean_gap - contact.contact.offset
         contact = contact.shrunk(forces.mean_gap)
-        forces = contact.evaluate(x)
+        forces = contact.evaluate(x, forces.seen)
         g = _residual(contact, here, forces)
     now = replace(now, contact=contact, forces=forces, g=g, drift=drift, status=ContactStatus.stopped)
     if now.steps == max_steps:

@@ -30,9 +30,9 @@ class ContactSlopes:
         contact = coupled.contact
         self.eps, self.forces = coupled.eps, coupled.evaluate(x)
         n, N = self.forces.normal, self.forces.N
-        gap, self._gradient, self._hessian = contact.gaps_at(self.forces.at)
+        self._gradient, self._hessian = self.forces.seen.n, self.forces.seen.H
         self._size = np.maximum(np.linalg.norm(self._gradient, axis=-1), 1e-12)
-        _, db, ddb = barrier(gap, contact.dhat)
+        _, db, ddb = barrier(self.forces.gap, contact.dhat)
         stiffness = contact.kappa * contact.faces.areas
         self._N_by_gap = -stiffness * ddb * self._size
         self._N_by_motion = -(stiffness * db)[..., None] * np.einsum("fqi,fqij->fqj", n, self._hessian)

@@ -18,20 +18,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.base.compiled import njit
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.barrier import Contact, barrier
+from tacgen.mechanics.barrier import Contact, Gaps
+from tacgen.physics import contact as kernels
+from tacgen.physics.runtime import call
 
 Array = np.ndarray
+NO_POSITIONS, NO_FRACTIONS = np.zeros((0, 0, 3)), np.zeros((0, 0))
 
 
 def smooth(u: Array, eps: float) -> tuple[Array, Array, Array]:
     """f0 [mm], f0'/|u| [1/mm] and (f0'' - f0'/|u|)/|u|^2 [1/mm^3] at slip lengths u >= 0 [mm]."""
-    stick = u < eps
-    v = np.maximum(u, 1e-12 * eps)
-    value = np.where(stick, u**2 / eps - u**3 / (3 * eps**2), u - eps / 3)
-    slope = np.where(stick, 2 / eps - u / eps**2, 1 / v)
-    return value, slope, np.where(stick, -1 / (eps**2 * v), -1 / v**3)
+    out = np.empty((u.size, 3))
+    call(kernels.slips, (u.size,), np.ascontiguousarray(u, float).ravel(), float(eps), out)
+    value, slope, bend = out.T
+    return value.reshape(u.shape), slope.reshape(u.shape), bend.reshape(u.shape)
 
 
 def slip(x: Array, anchor: Array, normal: Array) -> Array:
@@ -62,68 +63,11 @@ def dragged(anchor: Array, x: Array, normal: Array, normal_force: Array, eps: fl
     return pose.local(np.where(normal_force[..., None] > 0, pulled, x))
 
 
-@njit(cache=True)
-def _point_forces(
-    db: Array, ddb: Array, g: Array, H: Array, u: Array, weight: Array, mu: float, eps: float,
-    N: Array, n: Array, f: Array, D: Array, S: Array,
-) -> None:  # fmt: skip
-    """N (p,), n (p, 3), force on the gel f (p, 3), -df/dx as D (p, 3, 3), and S (p, 3, 3), the merit function's Hessian
-    without the indenter's curvature H.
-
-    db, ddb (p,): the barrier's derivatives; g (p, 3), H (p, 3, 3): gradient and Hessian of the distance; u (p, 3): from
-    the anchor; weight (p,): kappa times area.
-    """
-    P, t, Hn, Ht = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
-    for p in range(len(db)):
-        size = max(np.sqrt(g[p, 0] ** 2 + g[p, 1] ** 2 + g[p, 2] ** 2), 1e-12)
-        for i in range(3):
-            n[p, i] = g[p, i] / size
-            f[p, i] = 0.0
-            for j in range(3):
-                D[p, i, j] = S[p, i, j] = 0.0
-        N[p] = -weight[p] * db[p] * size
-        if db[p] == 0.0:
-            continue
-        for i in range(3):
-            f[p, i] = N[p] * n[p, i]
-            for j in range(3):
-                S[p, i, j] = weight[p] * ddb[p] * g[p, i] * g[p, j]
-                D[p, i, j] = S[p, i, j] + weight[p] * db[p] * H[p, i, j]
-        if mu == 0.0:
-            continue
-        un = u[p, 0] * n[p, 0] + u[p, 1] * n[p, 1] + u[p, 2] * n[p, 2]
-        length = 0.0
-        for i in range(3):
-            t[i] = u[p, i] - un * n[p, i]
-            length += t[i] ** 2
-        length = np.sqrt(length)
-        if length < eps:
-            slope, bend = 2 / eps - length / eps**2, -1 / (eps**2 * max(length, 1e-12 * eps))
-        else:
-            slope, bend = 1 / length, -1 / length**3
-        for j in range(3):  # the normal depends on the position on the indenter: dn/dx = (1 - n n^T) H / |g|
-            Hn[j] = n[p, 0] * H[p, 0, j] + n[p, 1] * H[p, 1, j] + n[p, 2] * H[p, 2, j]
-            Ht[j] = (t[0] * H[p, 0, j] + t[1] * H[p, 1, j] + t[2] * H[p, 2, j]) / size
-        for i in range(3):
-            for j in range(3):
-                P[i, j] = (1.0 if i == j else 0.0) - n[p, i] * n[p, j]
-                S[p, i, j] += mu * N[p] * (slope * P[i, j] + bend * t[i] * t[j])
-                P[i, j] -= un * (H[p, i, j] - n[p, i] * Hn[j]) / size + n[p, i] * Ht[j]  # d u_t/dx
-        for i in range(3):
-            f[p, i] -= mu * N[p] * slope * t[i]
-            for j in range(3):
-                v = slope * P[i, j]
-                for k in range(3):
-                    v += bend * t[i] * t[k] * P[k, j]
-                dN = -weight[p] * (ddb[p] * size * g[p, j] + db[p] * Hn[j])
-                D[p, i, j] += mu * (N[p] * v + slope * t[i] * dN)
-
-
 @dataclass(frozen=True)
 class ContactForces:
     """Contact at given positions: gap (f, q) [mm], at and normal (f, q, 3), normal force N (f, q) [N], force on the
     gel (f, q, 3) [N], its negative derivative `tangent` (f, q, 3, 3) [N/mm], and `definite`: the Hessian of the merit
-    function without the indenter's curvature, symmetric and positive semidefinite."""
+    function without the indenter's curvature, symmetric and positive semidefinite; and the gaps that they are of."""
 
     gap: Array
     at: Array
@@ -132,6 +76,7 @@ class ContactForces:
     force: Array
     tangent: Array
     definite: Array
+    seen: Gaps
 
     @property
     def mean_gap(self) -> float:
@@ -158,33 +103,31 @@ class CoupledContact:
         """With the barrier stiffness multiplied by `times`."""
         return replace(self, contact=replace(self.contact, kappa=times * self.contact.kappa))
 
-    def evaluate(self, x: Array) -> ContactForces:
-        """Forces and tangents at nodes x (n, 3).
+    def evaluate(self, x: Array, seen: Gaps | None = None) -> ContactForces:
+        """Forces and tangents at nodes x (n, 3), where the gaps are `seen`, if they are known.
 
         At points that overlap, which no solution has, the tangents omit the rotation of the normal.
         """
-        c = self.contact
-        at = c.faces.at(x)
-        shape = at.shape[:2]
-        d, g, H = c.gaps_at(at)
-        _, db, ddb = barrier(d, c.dhat)
-        H[d < 0] = 0.0  # in an overlap at the start of Newton, N is far too large
-        m = d.size
-        N, n, f, D, S = np.empty(m), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3, 3))
-        _point_forces(
-            db.ravel(), ddb.ravel(), g.reshape(m, 3), H.reshape(m, 3, 3), (at - self.anchor).reshape(m, 3),
-            (c.kappa * c.faces.areas).ravel(), self.friction, self.eps, N, n, f, D, S,
+        at, d, n, H = seen = self.contact.gaps(x) if seen is None else seen
+        wide = (1, *at.shape)
+        gap, normal, N, force = np.empty(wide[:-1]), np.empty(wide), np.empty(wide[:-1]), np.empty(wide)
+        tangent, definite = np.empty((*wide, 3)), np.empty((*wide, 3))
+        call(
+            kernels.forces, gap.shape, at[None], d[None], n[None], H[None], self.contact.faces.areas[None],
+            *self.contact.numbers, *self._numbers, self.anchor[None], gap, normal, N, force, tangent, definite,
         )  # fmt: skip
-        wide = (*shape, 3)
-        return ContactForces(
-            d, at, n.reshape(wide), N.reshape(shape), f.reshape(wide), D.reshape(*wide, 3), S.reshape(*wide, 3)
-        )
+        return ContactForces(gap[0], at, normal[0], N[0], force[0], tangent[0], definite[0], seen)
+
+    @property
+    def _numbers(self) -> tuple[Array, Array]:
+        """Friction and eps (1,), as kernels take them."""
+        return np.array([self.friction], float), np.array([self.eps], float)
 
     def merit(self, x: Array, frozen: ContactForces) -> float:
         """Energy [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
-        c, at = self.contact, self.contact.faces.at(x)
-        energy = float((c.kappa * c.faces.areas * barrier(c.gap(at), c.dhat)[0]).sum())
-        if self.friction == 0:
-            return energy
-        f0 = smooth(np.linalg.norm(slip(at, self.anchor, frozen.normal), axis=-1), self.eps)[0]
-        return energy + self.friction * float((frozen.N * f0).sum())
+        energies = np.empty((1, 1, frozen.N.size))
+        call(
+            kernels.merits, energies.shape, x[None], NO_POSITIONS, NO_FRACTIONS, *self.contact.arrays,
+            *self.contact.numbers, *self._numbers, self.anchor[None], frozen.normal[None], frozen.N[None], energies,
+        )  # fmt: skip
+        return float(energies.sum())

@@ -79,8 +79,7 @@ class LoadStep:
         """With anchors in the sensor frame; that of a new point is where it first touches on the predicted path."""
         history, contact, problem = self.history, self.contact, self.problem
         x = history.x if self.prediction is None else self.prediction.x
-        at = contact.faces.at(x)
-        ahead, gap_ahead = contact.pose.local(at), contact.gap(at)
+        ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gap(x)
         touch = onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
         anchor = contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
         coupled = CoupledContact(contact, problem.friction, anchor, problem.options.slip * contact.dhat)

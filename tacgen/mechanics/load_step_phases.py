@@ -29,7 +29,7 @@ def begin(problem: Problem, now: SolveState) -> Result:
     if not problem.condensed:
         return Outcome.not_condensed, now
     history, tangent, contact = now.history, problem.tangent, step.contact
-    conn, near = contact.faces.conn, contact.gap(contact.faces.at(history.x)) < contact.dhat
+    conn, near = contact.faces.conn, contact.gap(history.x) < contact.dhat
     touching = np.asarray((near | (history.normal_force > 0)).any(1))
     if not touching.any():
         return Outcome.apart, now

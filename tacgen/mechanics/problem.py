@@ -20,6 +20,7 @@ from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.options import DEFAULT_OPTIONS, SolverOptions, tighter
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import History
+from tacgen.physics.contact import MIN_SLOPE
 
 if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
@@ -125,13 +126,15 @@ class Problem:
     def rest(self, pose: Pose) -> History:
         """The untouched gel below an indenter at `pose`."""
         x, offset = self.mesh.points, USUAL_GAP_RATIO * self.contact.dhat
-        force, normal, gap = self.contact.moved(pose, offset).pressure(x)
-        at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
+        seen, kappa = self.contact.moved(pose, offset).gaps(x), self.contact.kappa
+        slope = np.maximum(np.linalg.norm(seen.n, axis=2, keepdims=True), MIN_SLOPE)  # 1 but for interpolated distances
         still = None if self.body is None else np.zeros_like(x)
         least = FORCE_FLOOR_RATIO * kappa * self.contact.dhat**2
         internal = {number: layer.rest() for number, layer in self.viscous.items()}
-        none, normal = np.zeros_like(force), normal @ pose.rotation
-        return History(pose, x, offset, none, normal, at, gap, kappa, least, still, internal)
+        normal, at = seen.n / slope @ pose.rotation, pose.local(seen.at)
+        return History(
+            pose, x, offset, np.zeros_like(seen.d), normal, at, seen.d + offset, kappa, least, still, internal
+        )
 
     def during(self, history: History, h: float) -> tuple[Elastic, ...]:
         """The layers' potentials in a load step of h [s]."""

@@ -10,13 +10,11 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import QUAD_CORNERS, barycentric
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
+from tacgen.physics import contact as kernels
+from tacgen.physics.runtime import call
 
 Array = np.ndarray
-# depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
-MAX_DEPTH_PER_REACH = 0.75
 OVERLAP_INTERVALS = 6  # intervals along a facet's side: the overlap is sampled at their ends
-# -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
-MIN_OPPOSED_COSINE = 0.25
 
 
 def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) -> bool:
@@ -26,23 +24,18 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
     contact's pose with nodes x. A point beyond the indenter's middle would be pushed out on the far side. There the
     outward normal has turned by more than a right angle since the point entered, or the depth is large.
     """
-    a, b = was.local(contact.faces.at(before)), contact.pose.local(contact.faces.at(x))
-    way = np.linalg.norm(b - a, axis=-1)
-    near = way > np.maximum(gap, 0.0)  # the others move less than their gap
-    if not near.any():
+    start, step = np.empty((1, *gap.shape, 3)), np.empty((1, *gap.shape, 3))
+    length, way = np.empty((1, *gap.shape)), (before[None], x[None], *contact.arrays[:3])
+    call(
+        kernels.ways, length.shape, *way, was.rotation[None], was.position[None], *contact.placed[:2], gap[None],
+        start, step, length,
+    )  # fmt: skip
+    if not length.any():
         return False
-    start, step, reach = a[near], (b - a)[near], contact.shape.reach
-    parts = max(2, int(np.ceil(4 * way[near].max() / reach)))
-    entered, entry = np.zeros(len(start), bool), np.zeros_like(start)
-    for k in range(parts + 1):
-        d, n = contact.shape.gradient(start + k / parts * step)
-        inside = d + contact.offset < 0
-        entry[inside & ~entered] = n[inside & ~entered]
-        entered |= inside
-        if d.min() < -MAX_DEPTH_PER_REACH * reach or (entered & ((entry * n).sum(1) < -MIN_OPPOSED_COSINE)).any():
-            return True
-        entered &= inside
-    return False
+    parts, through = max(2.0, np.ceil(4 * length.max() / contact.shape.reach)), np.empty(length.shape, bool)
+    numbers = (np.array([part], float) for part in (parts, contact.shape.reach, contact.offset))
+    call(kernels.blocked, length.shape, start, step, length, *numbers, *contact.shape.record, through)
+    return bool(through.any())
 
 
 def blocked_along(contact: Contact, was: Pose, before: Array, gap: Array, path: Iterable[Array]) -> bool:
@@ -50,7 +43,7 @@ def blocked_along(contact: Contact, was: Pose, before: Array, gap: Array, path: 
     next: where the gel snaps out of a fold, it goes round an edge that a straight step would cross."""
     for k, x in enumerate(path):
         if k > 0:
-            was, gap = contact.pose, contact.gap(contact.faces.at(before))
+            was, gap = contact.pose, contact.gap(before)
         if blocked(contact, was, before, gap, x):
             return True
         before = x
@@ -71,7 +64,7 @@ def overlap(contact: Contact, x: Array) -> float:
 
     A few micrometres if the mesh resolves the indenter; more at edges sharper than the mesh.
     """
-    conn, gap = contact.faces.conn, contact.gap(contact.faces.at(x)).min(1)
+    conn, gap = contact.faces.conn, contact.gap(x).min(1)
     near = gap < contact.dhat + np.sqrt(contact.faces.areas.sum(1))
     if not near.any():
         return 0.0

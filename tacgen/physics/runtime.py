@@ -18,7 +18,7 @@ from tacgen.base import array_cache, compiled
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
-KERNEL_FILES = {MODULE: ("elements", "tangents"), OPTICS: tuple[str, ...]()}
+KERNEL_FILES = {MODULE: ("elements", "tangents", "distances", "edges", "contact"), OPTICS: tuple[str, ...]()}
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 
 
@@ -53,7 +53,9 @@ def load(module: str, device: str) -> None:
 def array(values: Any, dtype: Any) -> wp.array:
     """A view of an array of NumPy, or of a tensor, whose last axes are those of `dtype`."""
     if isinstance(values, np.ndarray):
-        return wp.array(values, dtype=dtype, device="cpu", copy=False)
+        view = wp.array(values, dtype=dtype, device="cpu", copy=False)
+        assert not values.size or view.ptr == values.ctypes.data, f"{values.dtype} is not what a kernel takes"
+        return view
     return wp.from_torch(values, dtype=dtype)
 
 
@@ -65,6 +67,8 @@ class Launches:
 
     def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
         """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay."""
+        if 0 in dim:
+            return
         key: list[Any] = [kernel, dim]
         addresses, plain = [], []
         for value in values:

@@ -289,13 +289,13 @@ class Batch:
     def indent(self, slot: int, shape: Shape) -> None:
         """Another indenter for one scene, in the place of the last where there is room."""
         old, new = self.shapes, self.shapes.replaced(slot, shape)
-        count = new.values.numel()
-        if count > old.values.numel():
-            self.shapes = replace(new, values=torch.cat([new.values, torch.zeros_like(new.values)]))
+        if any(now.numel() > was.numel() for was, now in zip(old.record, new.record, strict=True)):
+            values, lists = (torch.cat([part, torch.zeros_like(part)]) for part in new.record[1:])
+            self.shapes = Shapes(new.table, values, lists, new.all)
             self.replays.forget()
             return
-        for mine, other in ((old.kinds, new.kinds), (old.table, new.table), (old.values[:count], new.values)):
-            mine.copy_(other)
+        for mine, other in zip(old.record, new.record, strict=True):
+            mine[: len(other)].copy_(other)
         self.shapes = replace(old, all=new.all)
 
     def slots(self, rows: Sequence[int]) -> Tensor:
@@ -321,7 +321,7 @@ class Batch:
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""
-        conn = self.topology.facets.expand(len(s), -1, -1)
+        conn = self.topology.faces.expand(len(s), -1, -1)
         return self._contacts(s, offset, conn, *gathered(s, self.areas, self.t.anchor))
 
     def near(self, s: Tensor, offset: Tensor, nodes: int) -> Contacts:
@@ -341,11 +341,11 @@ class Batch:
         self, s: Tensor, offset: Tensor, conn: Tensor, areas: Tensor, anchor: Tensor, ends: Tensor | None = None
     ) -> Contacts:
         """Contact of facets of scenes s at the pose of the load step."""
-        t, each = self.t, (*self.shapes.rows, self.t.rotation, self.t.position, self.dhat)
-        *shape, rotation, position, dhat, kappa, friction, eps = gathered(s, *each, t.kappa, self.friction, self.eps)
-        shapes = self.shapes.only(*shape)
+        t, each = self.t, (self.shapes.table, self.t.rotation, self.t.position, self.dhat)
+        table, rotation, position, dhat, kappa, friction, eps = gathered(s, *each, t.kappa, self.friction, self.eps)
+        shapes = self.shapes.only(table)
         return Contacts(
-            shapes, conn, self.N, areas, rotation, position, dhat, kappa, offset, friction, eps, anchor, ends
+            shapes, conn.int(), self.N, areas, rotation, position, dhat, kappa, offset, friction, eps, anchor, ends
         )
 
     def at_condensed(self, s: Tensor, x: Tensor, nodes: int) -> Tensor:

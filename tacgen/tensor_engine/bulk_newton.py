@@ -69,7 +69,7 @@ def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
     """The facets (s, f) on which the indenter acts at x (s, n, 3); if none, those on which it acted last, or the
     nearest."""
     contact = b.face(s, offset)
-    gap = contact.gap_at_nodes(x)
+    gap = contact.gap(x)
     now, last = (gap < contact.dhat[:, None, None]).any(-1), (b.t.h_N[s] > 0).any(-1)
     nearest = gap.amin(-1) <= gap.flatten(1).amin(1, keepdim=True)
     out = torch.where(last.any(1, keepdim=True), last, nearest)

@@ -1,46 +1,22 @@
 """Contact and Coulomb friction of many scenes: forces, tangents and the merit function at the points of facets.
 
-On a GPU by kernels, elsewhere by mechanics.coupled. Points are (s, f, q, 3), in the sensor's frame.
+Points are (s, f, q, 3), in the sensor's frame.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.geometry.pose import Pose
-from tacgen.mechanics.barrier import PARABOLA_GAP_RATIO, Contact, Faces
-from tacgen.mechanics.coupled import CoupledContact
-from tacgen.tensor_engine import device as devices
+from tacgen.physics import contact as kernels
+from tacgen.physics.runtime import launch
 from tacgen.tensor_engine.records import ContactArrays, Forces
-
-ABSENT_GAP_MM = 1e9  # gap of facets that do not exist [mm]
-EMPTY_SLOTS = np.zeros((0, 0), np.int32)  # of a sparse matrix, which there is none
-
-
-def barrier(d: Tensor, dhat: Tensor) -> Tensor:
-    """Clamped log barrier [mm] at gaps d [mm]; see mechanics.barrier.barrier."""
-    s = d / dhat
-    t = s.clamp(PARABOLA_GAP_RATIO, 1.0)
-    r, ln, below = 1 - t, torch.log(t), (s - PARABOLA_GAP_RATIO).clamp(max=0.0)
-    first, second = 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
-    return dhat * (first * below + second / 2 * below**2 - r**2 * ln)
 
 
 def slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
     """Tangential displacement (..., 3) of points from their anchors [mm]."""
     u = x - anchor
     return u - (u * normal).sum(-1, keepdim=True) * normal
-
-
-def smooth(u: Tensor, eps: Tensor) -> Tensor:
-    """f0 at slip lengths u [mm]; see mechanics.coupled.smooth."""
-    return torch.where(u < eps, u**2 * (eps - u / 3) / eps**2, u - eps / 3)
-
-
-FORCE_FIELDS = [field.name for field in fields(Forces)]
 
 
 @dataclass(frozen=True)
@@ -70,58 +46,56 @@ class Contacts(ContactArrays):
         flat = at.flatten(1, -2)
         return (flat @ self.rotation.mT + self.position[:, None]).view(at.shape)
 
-    def gap(self, at: Tensor) -> Tensor:
-        """Gap (s, ..., f, q) at points (s, ..., f, q, 3) of the facets."""
-        d = self.shapes.values_at(self.local(at).flatten(1, -2)).view(at.shape[:-1])
-        shape = (len(at), *(1,) * (at.dim() - 4), *self.areas.shape[1:])
-        return torch.where(self.areas.view(shape) > 0, d + self.offset.view(-1, *(1,) * (d.dim() - 1)), ABSENT_GAP_MM)
-
-    def gap_at_nodes(self, x: Tensor) -> Tensor:
+    def gap(self, x: Tensor) -> Tensor:
         """Gap (s, f, q) at nodes x (s, n, 3)."""
-        if devices.by_kernels(x):
-            from tacgen.tensor_engine import gpu_contact
+        d = torch.empty_like(self.areas)
+        launch(kernels.gaps, d.shape, x.contiguous(), *self._arrays, None, d, None, None)
+        return d + self.offset[:, None, None]
 
-            return gpu_contact.gaps(self, x)
-        return self.gap(self.points(x))
+    @property
+    def _arrays(self) -> tuple[Tensor, ...]:
+        """Facets, their shape functions and areas, the poses and the indenters, as kernels take them."""
+        parts = self.areas.contiguous(), self.rotation.contiguous(), self.position.contiguous()
+        return self.conn, self.N, *parts, *self.shapes.record
 
+    @property
     def _numbers(self) -> tuple[Tensor, ...]:
-        """Weights kappa A (s, f, q), and dhat, eps and friction (s, 1, 1)."""
-        dhat, eps, friction = (part[:, None, None] for part in (self.dhat, self.eps, self.friction))
-        return self.kappa[:, None, None] * self.areas, dhat, eps, friction
+        """Numbers of the scenes and anchors, as kernels take them."""
+        return self.kappa, self.dhat, self.offset, self.friction, self.eps, self.anchor.contiguous()
 
     def evaluate(self, x: Tensor) -> Forces:
         """Forces and tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
-        if devices.by_kernels(x):
-            from tacgen.tensor_engine import gpu_contact
-
-            return Forces(*gpu_contact.forces(self, x))
-        found = [one.evaluate(at) for one, at in zip(self._alone(), x.double().numpy(), strict=True)]
-        parts = {name: torch.from_numpy(np.stack([getattr(one, name) for one in found])) for name in FORCE_FIELDS}
-        return Forces(**parts | {"gap": torch.where(self.areas > 0, parts["gap"], ABSENT_GAP_MM)})
-
-    def _alone(self) -> Iterator[CoupledContact]:
-        """The contact of each scene alone."""
-        for k, shape in enumerate(self.shapes.each()):
-            faces = Faces(self.conn[k].numpy(), self.N.numpy(), self.areas[k].numpy(), EMPTY_SLOTS)
-            pose = Pose(self.rotation[k].numpy(), self.position[k].numpy())
-            numbers = (self.dhat, self.kappa, self.offset, self.friction, self.eps)
-            dhat, kappa, offset, friction, eps = (part[k].item() for part in numbers)
-            contact = Contact(faces, shape, pose, dhat, kappa, offset)
-            yield CoupledContact(contact, friction, self.anchor[k].numpy(), eps)
+        (s, f, q), arrays = self.areas.shape, self._arrays
+        at, n, H, d = x.new_empty(s, f, q, 3), x.new_empty(s, f, q, 3), x.new_empty(s, f, q, 3, 3), x.new_empty(s, f, q)
+        launch(kernels.gaps, d.shape, x.contiguous(), *arrays, at, d, n, H)
+        gap, normal, N, force = torch.empty_like(d), torch.empty_like(n), torch.empty_like(d), torch.empty_like(n)
+        tangent, definite = torch.empty_like(H), torch.empty_like(H)
+        found = gap, normal, N, force, tangent, definite
+        launch(kernels.forces, d.shape, at, d, n, H, arrays[2], *self._numbers, *found)
+        return Forces(gap, at, normal, N, force, tangent, definite)
 
     def merits(self, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
         """Energy (s, t) [N mm] of the barrier and of friction after fractions (s, t) of steps p (s, n, 3) from x, with
         the normal forces and normals of `frozen`."""
-        if devices.by_kernels(x):
-            from tacgen.tensor_engine import gpu_contact
+        energies = x.new_empty(*fractions.shape, self.areas[0].numel())
+        steps = x.contiguous(), p.contiguous(), fractions.contiguous()
+        kept = frozen.normal.contiguous(), frozen.N.contiguous()
+        launch(kernels.merits, energies.shape, *steps, *self._arrays, *self._numbers, *kept, energies)
+        return energies.sum(-1)
 
-            return gpu_contact.merits(self, x, p, fractions, frozen)
-        at = self.points(x)[:, None] + fractions[:, :, None, None, None] * self.points(p)[:, None]
-        normal, N, *numbers = (part[:, None] for part in (frozen.normal, frozen.N, *self._numbers()))
-        weight, dhat, eps, friction = numbers
-        t = slip(at, self.anchor[:, None], normal)
-        rubbed = friction * N * smooth(torch.linalg.vector_norm(t, dim=-1), eps)
-        return (weight * barrier(self.gap(at), dhat) + rubbed).sum((-2, -1))
+    def blocked(
+        self, before: Tensor, x: Tensor, rotation: Tensor, position: Tensor, gap: Tensor, reach: Tensor
+    ) -> Tensor:
+        """Whether a point passes through the indenter (s,) on the way from nodes `before` (s, n, 3), when its pose was
+        another and the gap (s, f, q), to x; see mechanics.tunnelling.blocked."""
+        arrays, wide = self._arrays, (*self.areas.shape, 3)
+        start, step, length = x.new_empty(wide), x.new_empty(wide), x.new_empty(wide[:-1])
+        way = before.contiguous(), x.contiguous(), *arrays[:3]
+        launch(kernels.ways, wide[:-1], *way, rotation, position, *arrays[3:5], gap.contiguous(), start, step, length)
+        parts = torch.ceil(4 * length.flatten(1).amax(1) / reach).clamp(min=2.0)
+        through = torch.empty(wide[:-1], dtype=torch.bool, device=x.device)
+        launch(kernels.blocked, wide[:-1], start, step, length, parts, reach, self.offset, *self.shapes.record, through)
+        return through.flatten(1).any(1)
 
     def max_step(self, gap: Tensor, p: Tensor, reach: Tensor) -> Tensor:
         """Largest parts (s,) of steps p (s, n, 3) without tunnelling; see mechanics.barrier.Contact.max_step."""

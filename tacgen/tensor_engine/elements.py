@@ -39,20 +39,22 @@ def determinant(F: Tensor) -> Tensor:
 @dataclass(frozen=True)
 class Topology:
     """The numbering that the scenes of a batch share, n nodes: conn (e, 8), also as int32 `cells`; the cells of each
-    node, `first` (n + 1,) and `around` (k, 2) as in physics.cells.around; and facets (f, 4) of the face."""
+    node, `first` (n + 1,) and `around` (k, 2) as in physics.cells.around; and facets (f, 4) of the face, also as int32
+    `faces`."""
 
     conn: Tensor
     cells: Tensor
     first: Tensor
     around: Tensor
     facets: Tensor
+    faces: Tensor
     nodes: int
 
     @classmethod
     def of(cls, cells: Array, facets: Array, nodes: int, device: str = "cpu") -> "Topology":
         first, pairs = (torch.tensor(part, device=device) for part in around(cells, nodes))
         conn, face = (torch.tensor(part, dtype=torch.long, device=device) for part in (cells, facets))
-        return cls(conn, conn.int(), first, pairs, face, nodes)
+        return cls(conn, conn.int(), first, pairs, face, face.int(), nodes)
 
     def at_nodes(self, parts: Tensor) -> Tensor:
         """Sums (s, n, 3) of what each cell's corners have, (s, e, 8, 3), in a fixed order, so that results repeat."""

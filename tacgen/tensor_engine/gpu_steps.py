@@ -16,7 +16,6 @@ from torch import Tensor
 
 from tacgen.mechanics.contact_newton import MAX_FULL_STEP_RESIDUAL_RATIO, MERIT_ROUNDING, MIN_LINE_SEARCH_FRACTION
 from tacgen.mechanics.line_search import ARMIJO_DECREASE
-from tacgen.tensor_engine.gpu_contact import _point
 
 if TYPE_CHECKING:
     from tacgen.tensor_engine.contact import Contacts
@@ -41,6 +40,20 @@ TL_MAX_FULL_STEP_RATIO, TL_MERIT_ROUNDING, TL_ARMIJO_DECREASE, TL_MIN_FRACTION =
 )
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (tl.constexpr(k) for k in range(5))  # as in contact_newton
 TL_INFINITY = tl.constexpr(float("inf"))
+
+
+@triton.jit
+def _point(X, CONN, N, scene, k, nodes, apart, q, inside):
+    """The points number k (facet q + point) of nodes X."""
+    x, y, z = 0.0, 0.0, 0.0
+    for corner in tl.static_range(4):
+        weight = tl.load(N + 4 * (k % q) + corner, mask=inside, other=0.0)
+        node = tl.load(CONN + scene * apart + k // q * 4 + corner, mask=inside, other=0)
+        at = X + 3 * (scene * nodes + node)
+        x += weight * tl.load(at, mask=inside, other=0.0)
+        y += weight * tl.load(at + 1, mask=inside, other=0.0)
+        z += weight * tl.load(at + 2, mask=inside, other=0.0)
+    return x, y, z
 
 
 @triton.jit(do_not_specialize=UNSPECIALIZED_STEPS)

@@ -15,8 +15,6 @@ from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import MIN_STEP_COSINE, STICKING_SPRING_STIFFNESS
 from tacgen.mechanics.solve_state import INITIAL_CONTRACTION
-from tacgen.mechanics.tunnelling import MAX_DEPTH_PER_REACH, MIN_OPPOSED_COSINE
-from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import gathered
@@ -36,7 +34,7 @@ def begin(b: Batch, rows: list[int]) -> list[Outcome]:
         folds=torch.ones_like(t.folds[s]), motion=torch.zeros_like(t.motion[s]),
     )  # fmt: skip
     contact = b.face(s, t.offset[s])
-    gap = contact.gap_at_nodes(t.h_x[s])
+    gap = contact.gap(t.h_x[s])
     touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)
     apart = ~touching.any(-1)
     usable = torch.tensor([course.usable for course in courses], device=s.device)
@@ -222,7 +220,7 @@ def _anchor(b: Batch, s: Tensor, x: Tensor) -> None:
     t, contact = b.t, b.face(s, b.t.offset[s])
     at, offset = contact.points(x), contact.offset[:, None, None]
     before, ahead = t.h_anchor[s], contact.local(at)
-    gap_before, gap_ahead = t.h_gap[s] - offset, contact.gap(at) - offset
+    gap_before, gap_ahead = t.h_gap[s] - offset, contact.gap(x) - offset
     closing = (gap_before - gap_ahead).clamp(min=1e-12)
     part = torch.where(gap_ahead < 0, (gap_before / closing).clamp(0.0, 1.0), 1.0)
     touch = before + part[..., None] * (ahead - before)
@@ -238,29 +236,5 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     """Whether a straight step from the last positions to x (s, n, 3) carries a point of the face through the indenter;
     see mechanics.tunnelling.blocked."""
     t, contact = b.t, b.face(s, b.t.offset[s])
-    if devices.by_kernels(x):
-        from tacgen.tensor_engine import gpu_contact
-
-        before, turned, position, gap, reach = gathered(s, t.h_x, t.h_rotation, t.h_position, t.h_gap, b.reach)
-        return gpu_contact.blocked(contact, before, x, turned, position, gap, reach)
-    first = _last_local(b, s, contact.points(t.h_x[s]))
-    way = contact.local(contact.points(x)) - first
-    length = torch.linalg.norm(way, dim=-1)
-    near = (length > t.h_gap[s].clamp(min=0.0)) & (contact.areas > 0)
-    reach = b.reach[s]
-    longest = torch.where(near, length, 0.0).flatten(1).amax(1)
-    parts = torch.ceil(4 * longest / reach).clamp(min=2)
-    entered, entry = torch.zeros_like(near), torch.zeros_like(first)
-    out = torch.zeros(len(s), dtype=torch.bool, device=s.device)
-    for k in range(int(parts.max()) + 1 if bool(near.any()) else 0):
-        at = first + (k / parts)[:, None, None, None] * way
-        d, n, _ = contact.shapes.distance(at.flatten(1, 2))
-        d, n = d.view(near.shape), n.view(at.shape)
-        inside = (d + contact.offset[:, None, None] < 0) & near
-        entry = torch.where((inside & ~entered)[..., None], n, entry)
-        entered = entered | inside
-        deep = near & (d < (-MAX_DEPTH_PER_REACH * reach)[:, None, None])
-        turned = entered & ((entry * n).sum(-1) < -MIN_OPPOSED_COSINE)
-        out = out | ((deep | turned).flatten(1).any(1) & (k <= parts))
-        entered = entered & inside
-    return out
+    before, turned, position, gap, reach = gathered(s, t.h_x, t.h_rotation, t.h_position, t.h_gap, b.reach)
+    return contact.blocked(before, x, turned, position, gap, reach)

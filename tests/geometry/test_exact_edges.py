@@ -13,7 +13,7 @@ from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, WedgeSdf
 from tacgen.geometry.exact_edges import SharpField
 from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.sdf_grid import Field
-from tacgen.geometry.triangle_distance import MAX_CONTACT_RADII
+from tacgen.physics.edges import MAX_CONTACT_RADII
 
 Array = np.ndarray
 RADIUS, CELL = 0.02, 0.15
@@ -57,20 +57,6 @@ def test_distance_normal_and_curvature_are_the_opened_bodys(name: str) -> None:
     if off < 1e-6:
         assert slope == pytest.approx(n[near], abs=1e-6)
         assert bend == pytest.approx(H[near], abs=1e-4 / RADIUS)
-
-
-def test_the_same_points_are_computed_once() -> None:
-    """Others are computed, and the answers, which others hold too, cannot be changed."""
-    found, p = field(sharp.wedge(15)), around(-0.1, 0.5)
-    first = found.distance(p)
-    assert found.distance(p.copy())[0] is first[0]
-    with pytest.raises(ValueError, match="read-only"):
-        first[2][:] = 0.0
-    for shift in (0.01, 0.02, 0.03, 0.04):
-        assert (found.distance(p + shift)[0] != first[0]).any()
-    again = found.distance(p)
-    assert again[0] is not first[0]  # forgotten
-    assert all((a == b).all() for a, b in zip(again, first, strict=True))
 
 
 def tube() -> trimesh.Trimesh:

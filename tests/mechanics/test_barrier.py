@@ -6,8 +6,9 @@ from helpers.small import patch, turn
 
 from tacgen.geometry.analytic_sdf import ConeSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.barrier import PARABOLA_GAP_RATIO, Contact, barrier
-from tacgen.mechanics.coupled import dragged, onset, smooth
+from tacgen.mechanics.barrier import Contact, barrier
+from tacgen.mechanics.coupled import CoupledContact, dragged, onset, smooth
+from tacgen.physics.contact import PARABOLA_GAP_RATIO
 
 Array = np.ndarray
 DHAT = 0.3
@@ -65,7 +66,8 @@ def test_quadrature_has_the_area_and_scatters_everything() -> None:
 
 def test_contact_forces_push_the_gel_off() -> None:
     contact, x = CONTACTS["sphere"], bent()
-    force, normal, gap = contact.pressure(x)
+    found = CoupledContact(contact, 0.0, contact.faces.at(x), 0.1).evaluate(x)
+    force, normal, gap = found.N, found.normal, found.gap
     assert (force >= 0).all()
     assert ((force > 0) == (gap < DHAT)).all()
     assert np.linalg.norm(normal, axis=-1) == pytest.approx(np.ones(gap.shape), abs=1e-12)
@@ -75,7 +77,7 @@ def test_contact_forces_push_the_gel_off() -> None:
 
 def test_shrinking_the_indenter_opens_every_gap_by_as_much() -> None:
     contact, x = CONTACTS["cone"], bent()
-    assert contact.moved(contact.pose, 0.14).gaps(x)[0] - contact.gaps(x)[0] == pytest.approx(0.1)
+    assert contact.moved(contact.pose, 0.14).gap(x) - contact.gap(x) == pytest.approx(0.1)
 
 
 def test_no_step_passes_through_the_indenter() -> None:
@@ -83,7 +85,7 @@ def test_no_step_passes_through_the_indenter() -> None:
     contact = Contact(FACES, SphereSdf(1.0), Pose(np.eye(3), np.array([0, 0, 0.3])), DHAT, 0.7)
     p = np.zeros_like(POINTS)
     p[:, 2] = 50.0
-    gap = contact.gaps(POINTS)[0]
+    gap = contact.gap(POINTS)
     part = contact.max_step(gap, p)
     assert 0 < part < 1
     after = contact.faces.at(POINTS + part * p)

@@ -10,8 +10,9 @@ from tacgen.fem.assembly import add_dense_blocks
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf, TorusSdf
 from tacgen.geometry.pose import Pose
 from tacgen.geometry.sdf_grid import Field
-from tacgen.mechanics.barrier import PARABOLA_GAP_RATIO, Contact, barrier
+from tacgen.mechanics.barrier import Contact, barrier
 from tacgen.mechanics.coupled import ContactForces, CoupledContact, slip
+from tacgen.physics.contact import PARABOLA_GAP_RATIO
 
 Array = np.ndarray
 DHAT, EPS, KAPPA, FRICTION = 0.3, 0.1, 0.7, 0.6
@@ -56,7 +57,7 @@ def against(name: str, x: Array, friction: float = FRICTION, seed: int = 0, leas
         middle = (low + high) / 2
         contact = contact.moved(Pose(rotation, np.array([0.05, -0.03, middle])), 0.02)
         low, high = (middle, high) if contact.least(x) < least else (low, middle)
-    _, n, _ = contact.pressure(x)
+    n = CoupledContact(contact, 0.0, FACES.at(x), EPS).evaluate(x).normal
     along = np.cross(n, rng.normal(size=n.shape))
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     slip = rng.permutation(np.resize(SLIPS, n[..., :1].size)).reshape(n[..., :1].shape)
@@ -100,23 +101,12 @@ def test_the_tangent_is_the_slope_of_the_force(name: str, friction: float, seed:
     assert not found.force[free].any()
 
 
-class Flat:
-    """A shape whose normals do not turn."""
-
-    def __init__(self, shape: Shape) -> None:
-        self.shape = shape
-
-    def distance(self, p: Array) -> tuple[Array, Array, Array]:
-        d, n, H = self.shape.distance(p)
-        return d, n, np.zeros_like(H)
-
-
 @ALL
 def test_where_points_overlap_the_tangent_is_that_of_a_plane(name: str) -> None:
     x = bent()
     coupled = against(name, x, least=-0.2)
-    plane = replace(coupled, contact=replace(coupled.contact, shape=Flat(SHAPES[name])))  # type: ignore[arg-type]
-    found, flat = coupled.evaluate(x), plane.evaluate(x)
+    found = coupled.evaluate(x)
+    flat = coupled.evaluate(x, found.seen._replace(H=np.zeros_like(found.seen.H)))
     over = found.gap < 0
     assert over.sum() >= 3
     assert found.force == pytest.approx(flat.force)
@@ -164,9 +154,8 @@ def test_the_definite_part_is_the_merit_functions_hessian_less_the_indenters_cur
     x = bent(2)
     coupled = against(name, x, FRICTION, 2)
     found, c = coupled.evaluate(x), coupled.contact
-    _, _, curvature = c.gaps_at(found.at)
     _, slope, _ = barrier(found.gap, c.dhat)
-    H = found.definite + (c.kappa * c.faces.areas * slope)[..., None, None] * curvature
+    H = found.definite + (c.kappa * c.faces.areas * slope)[..., None, None] * found.seen.H
     for seed in range(5):
         p, h = np.random.default_rng(seed).normal(size=x.shape), 1e-4
         way = FACES.at(p)
@@ -216,9 +205,8 @@ def test_a_stiffer_barrier_pushes_as_much_harder_and_a_smaller_indenter_leaves_a
     assert twice.tangent == pytest.approx(2 * found.tangent)
     assert coupled.shrunk(0.12).evaluate(x).gap == pytest.approx(found.gap + 0.1)
     assert found.mean_gap == pytest.approx((found.N * found.gap).sum() / found.N.sum())
-    assert found.mean_gap == pytest.approx(coupled.contact.mean_gap(x))
-    for known, mine in zip(coupled.contact.pressure(x), (found.N, found.normal, found.gap), strict=True):
-        assert mine == pytest.approx(known)
+    smaller = coupled.shrunk(0.12)
+    assert smaller.evaluate(x, found.seen).force == pytest.approx(smaller.evaluate(x).force)
     away = replace(coupled, contact=coupled.contact.moved(Pose(np.eye(3), np.array([0.0, 0.0, 9.0])), 0.0))
     assert np.isnan(away.evaluate(x).mean_gap)
     assert not away.evaluate(x).force.any()

@@ -31,7 +31,7 @@ def at(x: float, z: float) -> Pose:
 def goes(shape: Shape, start: Pose, end: Pose) -> bool:
     """Whether the indenter may go there over a gel that stays."""
     contact = Contact(Faces.on(PATTERN, POINTS, QUADS), shape, start, 0.03, 0.3)
-    gap = contact.gaps(POINTS)[0]
+    gap = contact.gap(POINTS)
     return not blocked(contact.moved(end, 0.0), start, POINTS, gap, POINTS)
 
 
@@ -58,7 +58,7 @@ def test_a_gel_may_go_round_what_it_may_not_pass_through() -> None:
     left, right, below = ([x, 0.0, z] for x, z in ((-3.0, 0.0), (3.0, 0.0), (0.0, -1.0)))
     contact = Contact(Faces.on(PATTERN, POINTS, QUADS), SphereSdf(0.3), at(0, -0.3), 0.03, 0.3)
     before = POINTS + left
-    gap = contact.gaps(before)[0]
+    gap = contact.gap(before)
     straight, round_it = [POINTS + right], [before + below, POINTS + right + below, POINTS + right]
     assert blocked_along(contact, contact.pose, before, gap, straight)
     assert not blocked_along(contact, contact.pose, before, gap, round_it)
@@ -71,7 +71,7 @@ def test_what_lies_inside_the_gel_is_found() -> None:
     ]
     faces = Faces.on(PATTERN, POINTS, QUADS)
     deep = Contact(faces, CapsuleSdf(0.3, 2.0), at(0, -0.8), 0.03, 0.3)
-    assert deep.gaps(POINTS)[0].min() > 0  # contact sees nothing of it
+    assert deep.gap(POINTS).min() > 0  # contact sees nothing of it
     assert 0.15 < depth_inside(deep, elastic, POINTS) <= 0.3
     assert depth_inside(deep.moved(at(0, 0.001), 0.0), elastic, POINTS) == 0
 
@@ -83,7 +83,7 @@ def test_what_cuts_in_between_the_points_of_contact_is_reported(nodes: int) -> N
     wedge = WedgeSdf(np.radians(60), 0.05, 1.0)
     contact = Contact(faces, wedge, Pose(np.eye(3), np.array([0.0, 0.0, -0.04])), 0.03, 0.3)
     if nodes == 4:
-        assert contact.gaps(points)[0].min() > 0
+        assert contact.gap(points).min() > 0
     assert overlap(contact, points) == pytest.approx(0.04, abs=1e-9)
     assert overlap(contact.moved(contact.pose, 0.01), points) == pytest.approx(0.03, abs=1e-9)
     bowl = points.copy()

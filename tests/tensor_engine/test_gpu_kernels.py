@@ -2,8 +2,6 @@
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,24 +21,18 @@ from tacgen.tensor_engine import (
     condensed,
     dense,
     gpu_blocks,
-    gpu_contact,
-    gpu_distance,
     gpu_facets,
     gpu_fronts,
     gpu_substitution,
     indices,
-    load_step,
     multifrontal,
     products,
 )
-from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.fronts import Fronts, Panel
 from tacgen.tensor_engine.grids import GridPattern
-from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine.compiling import interpreted_and_compiled
-from tensor_engine.test_contact import SHAPES, Case
 from tensor_engine.test_multifrontal import matrices
 
 pytestmark = pytest.mark.slow  # the interpreter takes seconds
@@ -57,41 +49,6 @@ def close(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-11) ->
     """Whether two are equal but for rounding, scene by scene."""
     size = wanted.abs().flatten(1).amax(1).clamp(min=1e-3)
     return bool(((found.cpu() - wanted).abs().flatten(1).amax(1) <= relative * size).all())
-
-
-def test_distances_of_all_shapes() -> None:
-    shapes = Shapes.of(list(SHAPES.values()), torch.float64, "cpu")
-    p = torch.tensor(np.random.default_rng(2).normal(size=(len(SHAPES), 140, 3))) * torch.tensor([0.5, 0.5, 0.3])
-    p[-1, 3] = torch.nan
-    parts = (part.to(DEVICE) for part in (p, shapes.kinds, shapes.table, shapes.values))
-    both = list(zip(gpu_distance.distances(*parts), shapes.distance(p), strict=True))
-    nowhere = both[0][1].isnan()
-    assert torch.equal(both[0][0].isnan().cpu(), nowhere)
-    assert nowhere.sum() == 1
-    for found, wanted in both:
-        found[nowhere.to(DEVICE)] = wanted[nowhere] = 0.0
-        assert close(found, wanted, 1e-10)
-
-
-@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
-@pytest.mark.parametrize(("slide", "friction"), [(0.05, True), (0.002, True), (0.05, False)],
-                         ids=["sliding", "sticking", "frictionless"])  # fmt: skip
-def test_forces_tangents_and_merits(slide: float, friction: bool) -> None:
-    case = Case(slide, friction)
-    areas = case.many.areas.clone()
-    areas[:, 3] = 0.0  # a facet that does not exist
-    many, r = case.many.only(case.many.conn, areas, case.many.anchor), np.random.default_rng(3)
-    wanted = many.evaluate(case.X)
-    names = ("gap", "at", "normal", "N", "force", "tangent", "definite")
-    for name, found in zip(names, gpu_contact.forces(many, case.X), strict=True):
-        assert close(found, getattr(wanted, name)), name
-    p, fractions = (
-        torch.tensor(r.normal(size=case.X.shape)) * 0.3,
-        0.5 ** torch.arange(3).double().expand(len(areas), -1),
-    )
-    merits = gpu_contact.merits(many, case.X, p, fractions, wanted)
-    assert close(merits, many.merits(case.X, p, fractions, wanted))
-    assert merits.shape == (len(areas), 3)
 
 
 @pytest.mark.parametrize("size", [3, 16, 29, 41, 64, 70, 150])
@@ -346,22 +303,3 @@ def test_products_of_parts_of_matrices(transposed: bool) -> None:
         *(part.to(DEVICE) for part in (A, slots, x)), transposed, (down.to(DEVICE), across.to(DEVICE))
     )
     assert close(found, wanted, 1e-12)
-
-
-@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
-@pytest.mark.parametrize(("drop", "reach", "many"), [(0.05, 0.5, 0), (0.6, 9.0, 1), (0.6, 0.7, 7)])
-def test_points_that_pass_through(drop: float, reach: float, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Too deep, and out on the other side; in few parts and in many."""
-    case, s = Case(), torch.arange(len(SHAPES))
-    contact, far = case.many, torch.tensor([0.1, 0.05, 0.4])
-    old = replace(contact, position=contact.position + far, rotation=contact.rotation[:, [1, 0, 2]])
-    t = SimpleNamespace(offset=contact.offset, h_x=case.X, h_rotation=old.rotation, h_position=old.position)
-    t.h_gap = old.gap_at_nodes(case.X)
-    t.h_gap[1] += 9.0  # not near
-    b = SimpleNamespace(t=t, reach=torch.full((len(s),), reach).double(), face=lambda s, offset: contact)
-    x = case.X + torch.tensor([0.1, 0.0, drop])
-    wanted = load_step.blocked(b, s, x)
-    monkeypatch.setattr(devices, "by_kernels", lambda x: True)
-    assert close(contact.gap_at_nodes(x), contact.gap(contact.points(x)))
-    assert load_step.blocked(b, s, x).tolist() == wanted.tolist()
-    assert wanted.sum() == many

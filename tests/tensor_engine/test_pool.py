@@ -64,7 +64,7 @@ def test_indenters_on_grids_follow_each_other_in_a_slot():
     at = torch.tensor([[[0.1, 0.2, -0.2], [0.4, 0.0, 0.3]]], dtype=torch.float64)
     for each in [first, *others]:
         slots.enter(0, each)
-        found = slots.batch.shapes.distance(at)[0][0]
+        found = slots.batch.shapes.values_at(at)[0]
         assert found.numpy() == pytest.approx(each.scene.shape.distance(at[0].numpy())[0], abs=1e-12)
         assert float(slots.batch.reach[0]) == each.scene.shape.reach
     assert len(slots.batch.shapes.values) <= 2 * small.coefficients.size  # room that is used again

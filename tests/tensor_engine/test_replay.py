@@ -16,12 +16,10 @@ from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_mod
 import tacgen.tensor_engine.batch
 from tacgen.fem.potential import Projection
 from tacgen.geometry.analytic_sdf import SphereSdf
-from tacgen.tensor_engine import admission, inversion, load_step, pool, replay
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.contact import Contacts
+from tacgen.tensor_engine import inversion, pool, replay
 from tacgen.tensor_engine.indices import put
 from tacgen.tensor_engine.replay import Replays, fitting, padded, rare
-from tacgen.tensor_engine.shapes import Shapes
 from tensor_engine.batches import batch, path, small, solve
 from tensor_engine.dense import Dense
 from tensor_engine.test_forces import forced
@@ -56,10 +54,8 @@ def excused(function: Callable) -> Callable:
 
 @pytest.fixture
 def watched(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = [(Contacts, "evaluate"), (Contacts, "merits"), (Shapes, "distance")]
-    names += [(load_step, "blocked"), (admission, "blocked")]
-    for owner, name in [*names, *((Dense, each) for each in ("factor", "schur", "forward", "expand"))]:
-        monkeypatch.setattr(owner, name, excused(getattr(owner, name)))
+    for name in ("factor", "schur", "forward", "expand"):
+        monkeypatch.setattr(Dense, name, excused(getattr(Dense, name)))
     noting = replay._noting
 
     @contextmanager
