@@ -18,9 +18,10 @@ from tacgen.base import array_cache, compiled
 
 Array = np.ndarray
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
+BATCHES = "tacgen.batches"  # of kernels of many scenes alone, which a core runs in tests
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
-KERNEL_FILES = {MODULE: ("assembly", "elements", "tangents"), OPTICS: tuple[str, ...]()}
+KERNEL_FILES = {MODULE: ("assembly", "elements", "jacobian", "tangents"), BATCHES: ("facets",), OPTICS: tuple[str, ...]()}
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 # bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there
 # takes a tenth of the time of __array_interface__
@@ -150,7 +151,7 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
     """
     kinds = [argument.type for argument in kernel.adj.args]
     found = [
-        array(value, kind.dtype) if isinstance(kind, wp.array) and not isinstance(value, wp.array | None) else value
+        array(value, kind.dtype) if hasattr(kind, "ndim") and not isinstance(value, wp.array | None) else value
         for kind, value in zip(kinds, values, strict=True)
     ]
     device = next(value.device for value in found if isinstance(value, wp.array))
@@ -168,6 +169,11 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
 def _stream(handle: int, device: str) -> wp.Stream:
     """Warp's object for a stream of PyTorch; a new one each time would be registered and removed in recordings."""
     return wp.Stream(device, cuda_stream=handle)
+
+
+def lanes(like: Any, count: int) -> int:
+    """How many threads share work that one does on a core."""
+    return count if like.is_cuda else 1
 
 
 def room(dtype: Any, shape: tuple[int, ...], like: Any) -> wp.array:

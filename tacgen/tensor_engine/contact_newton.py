@@ -19,6 +19,8 @@ from tacgen.mechanics.contact_newton import (
     MIN_LINE_SEARCH_FRACTION,
 )
 from tacgen.mechanics.line_search import ARMIJO_DECREASE
+from tacgen.physics import facets
+from tacgen.physics.runtime import launch
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.indices import constant
@@ -58,17 +60,9 @@ class Quadratics:
 
 
 def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
-    """Nodal forces (s, n, c) of forces (s, f, q, c) at points; corner by corner, since on a grid a node is a certain
-    corner of one facet only: so the order of summation is always the same."""
-    if contact.ends is not None:
-        from tacgen.tensor_engine import gpu_facets
-
-        return gpu_facets.at_nodes(contact.ends, contact.N, forces)
-    parts = contact.N.T @ forces
-    out = forces.new_zeros(len(forces), nodes, forces.shape[-1])
-    for corner in range(4):
-        at = contact.conn[..., corner, None].expand(parts.shape[:2] + parts.shape[3:])
-        out.scatter_add_(1, at, parts[:, :, corner])
+    """Nodal forces (s, n, 3) of forces (s, f, q, 3) at points."""
+    out = forces.new_empty(len(forces), nodes, 3)
+    launch(facets.at_nodes, out.shape[:2], contact.ends, contact.N, forces, out)
     return out
 
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tacgen.physics import facets
+from tacgen.physics.runtime import lanes, launch
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.dense import MAX_DIRECT_ROWS, half, invert_factor
 from tacgen.tensor_engine.products import Used, slot_times
@@ -20,6 +22,7 @@ from tacgen.tensor_engine.replay import rare
 MAX_UNPIVOTED_RESIDUAL = 1e-2
 PADDING_PLACE = -(2**31)  # the place of padding
 ROW_ALIGNMENT = 4  # numbers at whose multiples rows of a system start, for the library's products
+THREADS_PER_ROW = 32  # of a matrix, on a GPU: those of a warp read what is next to each other
 Own = tuple[Tensor, Tensor]  # numbers of rows by slot (capacity,), and slots (s,)
 
 
@@ -171,25 +174,14 @@ def numbered(marked: Tensor, most: int) -> Tensor:
 
 
 def with_points(
-    K: Tensor, slots: Tensor, kept: Tensor, place: Tensor, conn: Tensor, ends: Tensor | None, N: Tensor, D: Tensor
+    K: Tensor, slots: Tensor, kept: Tensor, place: Tensor, conn: Tensor, ends: Tensor, N: Tensor, D: Tensor
 ) -> Tensor:
     """Rows at slots (s,) of K (capacity, a, a) plus stiffnesses D (s, f, q, 3, 3) at the points N (q, 4) of facets conn
     (s, f, 4); kept (s, a) and place (s, k): the unknown 3 node + direction of each row of K, -1 if none, and the row of
-    each unknown, negative where D does not act; ends: see contact.Contacts.
-
-    Corner by corner: on a grid a node is a certain corner of one facet only, so the order of summation never changes.
-    """
-    if ends is not None:
-        from tacgen.tensor_engine import gpu_facets
-
-        return gpu_facets.with_points(K, slots, kept, place, conn, ends, N, D)
-    (s, a), N, D = kept.shape, N.to(K.dtype), D.to(K.dtype)
-    pairs = (N[:, :, None] * N[:, None, :]).flatten(1).T
-    blocks = (pairs @ D.flatten(-2)).view(s, -1, 4, 4, 3, 3)
-    unknowns = (3 * conn[..., None] + torch.arange(3, device=K.device)).flatten(1)
-    at = torch.where(place < 0, a, place).gather(1, unknowns).view(s, -1, 4, 3).transpose(1, 2)
-    index = at[:, :, :, None, :, None] * (a + 1) + at.transpose(1, 2)[:, None, :, :, None, :]
-    out = torch.nn.functional.pad(K[slots], (0, 1, 0, 1)).flatten(1)
-    for corner in range(4):
-        out.scatter_add_(1, index[:, corner].flatten(1), blocks[:, :, corner].flatten(1))
-    return out.view(s, a + 1, a + 1)[:, :a, :a]
+    each unknown, negative where D does not act; ends: see contact.Contacts."""
+    out, step = K.new_empty(*kept.shape, kept.shape[1]), lanes(K, THREADS_PER_ROW)
+    launch(
+        facets.WITH_POINTS[K.element_size()], (*kept.shape, step), K, slots, kept, place, conn, ends, N, D.flatten(-2),
+        step, out,
+    )  # fmt: skip
+    return out
