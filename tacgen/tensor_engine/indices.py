@@ -48,5 +48,7 @@ def _move(
         widths, sizes = [part.shape[1:].numel() for part in close], [part.element_size() for part in kept]
         apart = [part.stride(0) * size for part, size in zip(kept, sizes, strict=True)]
         addresses = [[part.data_ptr() for part in parts] for parts in (kept, close)]
-        numbers = (facets.Numbers(*part, *[0] * (most - len(part))) for part in (*addresses, apart, widths, sizes))
+        table = np.zeros((5, most), np.uint64)
+        table[:, : len(kept)] = *addresses, apart, widths, sizes
+        numbers = map(facets.Numbers.from_buffer_copy, table)
         launch(facets.moved, (len(slots), max(widths)), slots, which, len(kept), into, *numbers)

@@ -69,68 +69,6 @@ def same(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-12) -> 
     return found.dtype == wanted.dtype and bool(close & (found[~finite] == wanted[~finite]).all())
 
 
-@alone
-def test_facets_and_sums_at_their_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of scenes in other slots than their own, condensed to unlike parts of the face."""
-    b = batch([small(SphereSdf(1.5), path((0, 0, -0.3)))] * 3)
-    marked, every = torch.zeros(3, len(b.topology.facets), dtype=torch.bool), b.slots([0, 1, 2])
-    marked[0, 7] = marked[1, 6:8] = marked[2, 12] = True
-    load_step.cover(b, every, marked, torch.ones(3, dtype=torch.bool))
-    b.t.anchor[:], b.dhat[:] = torch.tensor(R(1).normal(size=b.t.anchor.shape)), torch.arange(3) + 1.0
-    s, nodes = b.slots([2, 0]), max(course.nodes for course in b.courses) + 3
-    one, other = both(lambda: b.near(s, b.t.offset[s], nodes), monkeypatch)
-    real = other.areas > 0
-    assert real.any(2).sum(1).tolist() == [9, 9]
-    for name in ("areas", "dhat", "rotation", "conn"):
-        assert torch.equal(getattr(one, name), getattr(other, name)), name
-    assert torch.equal(one.anchor[real], other.anchor[real])
-    force = torch.tensor(R(2).normal(size=one.anchor.shape)) * real[..., None]
-    assert same(newton.at_nodes(one, force, nodes), newton.at_nodes(other, force, nodes))
-    everywhere = torch.tensor(R(5).normal(size=b.X.shape))
-    x, at = both(lambda: b.at_condensed(s, everywhere, nodes), monkeypatch)
-    assert torch.equal(x, at)
-    assert torch.equal(x[0, :16], everywhere[2, b.t.nodes[2, :16]])
-
-    D = torch.tensor(R(3).normal(size=(*real.shape, 3, 3))) * real[..., None, None]
-    K = torch.tensor(R(4).normal(size=(3, 60, 60)), dtype=torch.float32)[:, :40, :40]
-    place = torch.full((2, 3 * nodes), -1)
-    place[0, 5:42] = torch.arange(37)
-    place[1, 3:43] = torch.arange(40).flip(0)
-    kept = torch.full((2, 40), -1)
-    for row, each in enumerate(place):
-        acted = torch.nonzero(each >= 0).squeeze(1)
-        kept[row, each[acted]] = acted
-    stiff = [reduction.with_points(K, s, kept, place, c.conn, c.ends, c.N, D) for c in (one, other)]
-    assert same(stiff[0], stiff[1], 1e-6)
-    assert (stiff[1] - K[s]).abs().amax((1, 2)).min() > 0.5
-
-
-@alone
-def test_what_contact_acts_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a reduction to other unknowns, to these and others, and without one."""
-    b = batch([small(SphereSdf(1.5), path((0, 0, -0.3)))] * 4)
-    b.replays = Replays(torch.device("cpu"), on=True)
-    marked, s = torch.zeros(4, len(b.topology.facets), dtype=torch.bool), b.slots([3, 1, 0])
-    marked[:, 6:8] = True
-    load_step.cover(b, b.slots(range(4)), marked, torch.ones(4, dtype=torch.bool))
-    sizes = b.sizes(s)._replace(nodes=20)  # room is wider
-    assert {course.nodes for course in b.courses} == {20}
-    b.t.active[3, 50:54], b.t.active[1], b.t.active[0, :9] = True, True, True
-    kept = torch.tensor([1.0, 1.0, 0.0]).double()
-
-    def acted() -> list[torch.Tensor]:
-        contact = b.near(s, b.t.offset[s], sizes.nodes)
-        N = torch.zeros_like(contact.areas)
-        N[:, 1, 2], N[:, 2, 0] = 0.1, 0.2
-        b.t.wanted[:] = True
-        return [*condensation.acted(b, sizes, s, contact, N, kept), b.t.wanted[s]]
-
-    for one, other in zip(*both(acted, monkeypatch), strict=True):
-        assert torch.equal(one, other)
-    assert other.sum(1).tolist() == acted()[1].tolist() == [22, 60, 18]
-    assert acted()[0].tolist() == [True, False, True]
-
-
 def test_solutions_on_the_kept_unknowns_are_put_together(monkeypatch: pytest.MonkeyPatch) -> None:
     r, k, a, e = R(5), 30, 12, 19
     place = np.full((4, k), reduction.PADDING_PLACE)  # the last two are padding
