@@ -21,8 +21,9 @@ MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
 BATCHES = "tacgen.batches"  # of kernels of many scenes alone, which a core runs in tests
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
-KERNEL_FILES = {MODULE: ("assembly", "elements", "jacobian", "tangents"), BATCHES: ("facets",), OPTICS: tuple[str, ...]()}
+KERNEL_FILES = {MODULE: ("assembly", "elements", "jacobian", "tangents"), BATCHES: ("facets", "steps"), OPTICS: tuple[str, ...]()}
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
+BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
 # bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there
 # takes a tenth of the time of __array_interface__
 ARRAY_ADDRESS = object.__basicsize__
@@ -171,8 +172,8 @@ def _stream(handle: int, device: str) -> wp.Stream:
     return wp.Stream(device, cuda_stream=handle)
 
 
-def lanes(like: Any, count: int) -> int:
-    """How many threads share work that one does on a core."""
+def lanes(like: Any, count: int = BLOCK_THREADS) -> int:
+    """How many threads share work that one does on a core; those of a block can add what each has found."""
     return count if like.is_cuda else 1
 
 

@@ -17,7 +17,6 @@ from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.products import slot_times
 from tacgen.tensor_engine.reduction import Reduction, reduced
 
-THREADS_PER_SCENE = 256  # on a GPU: those of a block, which add what each has found
 Damping = tuple[list[float], ...]  # of each scene of a call; empty if no scene is damped
 
 
@@ -102,7 +101,7 @@ def acted(b: Batch, sizes: Sizes, s: Tensor, contact: Contacts, N: Tensor, kept:
 
     Returns where they are more than those to which the bulk is reduced (s,) bool, and how many they are (s,).
     """
-    stale, count, step = kept.new_empty(len(s), dtype=torch.bool), torch.empty_like(s), lanes(s, THREADS_PER_SCENE)
+    stale, count, step = kept.new_empty(len(s), dtype=torch.bool), torch.empty_like(s), lanes(s)
     launch(
         facets.acted, (len(s), step), s, contact.ends, N, b.t.active, kept, b.t.wanted, step, stale, count
     )  # fmt: skip
