@@ -31,8 +31,9 @@ class Bernstein:
 
     Each column of the Jacobian matrix is linear between its values at p places, so the determinant is a sum over p^3
     triples of them, and a coefficient is the mean of the triples of its monomial. columns (3, p, b): dN/dxi at the
-    places, of the nodes (3, p, b) where it is not 0; monomial (p, p, p): number of the coefficient; share (k,): 1 over how many triples it has, so 1 at corners;
-    pieces (c, k, k): the coefficients on each part of a divided element from those on the whole.
+    places, of the nodes (3, p, b) where it is not 0; monomial (p, p, p): number of the coefficient; share (k,): 1 over
+    how many triples it has, so 1 at corners; pieces (c, k, k): the coefficients on each part of a divided element from
+    those on the whole.
     """
 
     nodes: Array
@@ -43,17 +44,22 @@ class Bernstein:
 
     @property
     def whole(self) -> tuple[Array, ...]:
-        """What gives the coefficients of an element that is not divided."""
+        """All that gives the coefficients of an element that is not divided."""
         return self.nodes, self.columns, self.monomial, self.share
 
 
-def _table(columns: Array, powers: Array) -> tuple[Array, ...]:
+def _table(columns: Array, powers: Array) -> tuple[Array, Array, Array, Array]:
     """Nodes, columns, monomials and shares; powers (3, p, v): exponents of the factors of the columns' values."""
     total = powers[0][:, None, None] + powers[1][:, None] + powers[2]
     p = powers.shape[1]
     _, number, count = np.unique(total.reshape(p**3, -1), axis=0, return_inverse=True, return_counts=True)
     nodes = np.argsort(columns == 0, axis=2, kind="stable")[..., : (columns != 0).sum(2).max()]
-    return nodes.astype(np.int32), np.take_along_axis(columns, nodes, 2), number.reshape(p, p, p).astype(np.int32), 1 / count
+    return (
+        nodes.astype(np.int32),
+        np.take_along_axis(columns, nodes, 2),
+        number.reshape(p, p, p).astype(np.int32),
+        1 / count,
+    )
 
 
 def _hexes() -> Bernstein:

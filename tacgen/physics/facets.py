@@ -179,7 +179,7 @@ def with_points(
     step: int,
     out: wp.array3d(dtype=Any),
 ):
-    """See tensor_engine.reduction.with_points; D (s, f, q, 9). `step` threads a row: each has every `step`-th column."""
+    """See tensor_engine.reduction.with_points; D (s, f, q, 9). `step` threads a row, each of some columns."""
     s, r, lane = wp.tid()
     slot = slots[s]
     j = int(lane)

@@ -1,8 +1,9 @@
 """A certified lower bound of the Jacobian of elements of many scenes, as Warp kernels; see fem.jacobian for the theory.
 
 Arrays have the scene first, cells are conn (e, a). Tables of an element type: columns (3, p, b), dN/dxi at the places
-between which columns of dx/dxi are linear, of the nodes (3, p, b) where it is not 0; monomial (p, p, p), the number of the coefficient of a triple of them; share
-(k,), 1 over how many triples it has; pieces (c, k, k), the coefficients on each part of a divided element.
+between which columns of dx/dxi are linear, of the nodes (3, p, b) where it is not 0; monomial (p, p, p), the number of
+the coefficient of a triple of them; share (k,), 1 over how many triples it has; pieces (c, k, k), the coefficients on
+each part of a divided element.
 """
 
 import warp as wp
@@ -147,9 +148,9 @@ def divided_bounds(
     most: int,
     low: wp.array2d(dtype=real),
 ):
-    """Raise the bounds `low` (s, e) of cells by dividing them: until J is at most `tol` above the bound somewhere, where
-    it is not yet at the value that is `attained` (s,) in a scene. At most `deepest` times, into at most `most` pieces;
-    bounds of what is not divided further count.
+    """Raise the bounds `low` (s, e) of cells that are more than `tol` below the least value `attained` (s,) in a scene,
+    by dividing cells until those of their pieces are not; at most `deepest` times, and not at all those that would have
+    more than `most` pieces.
 
     Pieces are visited in the order of a search in depth, and each is computed from the whole: nothing is kept.
     """

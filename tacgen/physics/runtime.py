@@ -21,7 +21,11 @@ MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
 BATCHES = "tacgen.batches"  # of kernels of many scenes alone, which a core runs in tests
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
-KERNEL_FILES = {MODULE: ("assembly", "elements", "jacobian", "tangents"), BATCHES: ("facets", "steps"), OPTICS: tuple[str, ...]()}
+KERNEL_FILES = {
+    MODULE: ("assembly", "elements", "jacobian", "tangents"),
+    BATCHES: ("facets", "steps"),
+    OPTICS: tuple[str, ...](),
+}
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
 # bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there

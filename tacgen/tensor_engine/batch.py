@@ -323,7 +323,8 @@ class Batch:
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""
         conn, ends = (part.expand(len(s), -1, -1) for part in (self.topology.facets, self.topology.ends))
-        return self._contacts(s, offset, conn, *gathered(s, self.areas, self.t.anchor), ends)
+        areas, anchor = gathered(s, self.areas, self.t.anchor)
+        return self._contacts(s, offset, conn, areas, anchor, ends)
 
     def near(self, s: Tensor, offset: Tensor, nodes: int) -> Contacts:
         """Contact of the facets that are condensed, fewer than so many nodes, with the numbers of these nodes."""

@@ -27,7 +27,9 @@ from tacgen.tensor_engine.records import Forces
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 
-RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(5)  # as in physics.steps; see mechanics.contact_newton.ContactStatus
+RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(
+    5
+)  # as in physics.steps; see mechanics.contact_newton.ContactStatus
 # of the first fraction of a step
 STEP_HALVINGS = np.concatenate([[0.0], 0.5 ** np.arange(int(-np.log2(MIN_LINE_SEARCH_FRACTION)) + 1)])
 LONGEST_COLUMN, FULL_STEP_COLUMN = 4, 5  # columns of figures, see `tried`
@@ -107,11 +109,7 @@ def step(
         whole = gradient + bent - at_nodes(contact, contact.evaluate(x + p).force, x.shape[1])
     trial = TriedStep(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
     fractions, figures = tried(trial, contact, forces.gap, reach, least)
-    if (
-        x.is_cuda
-        or recording()
-        or not bool(((figures[:, FULL_STEP_COLUMN] > 0) | (now.steps >= max_steps)).all())
-    ):
+    if x.is_cuda or recording() or not bool(((figures[:, FULL_STEP_COLUMN] > 0) | (now.steps >= max_steps)).all()):
         fraction = downhill(fractions, figures, contact.merits(x, p, fractions, forces), least)
     else:
         fraction = torch.ones_like(reach)

@@ -37,7 +37,7 @@ def determinant(F: Tensor) -> Tensor:
 
 
 def ends_of(conn: Tensor, nodes: int) -> Tensor:
-    """Of each node (..., n, 4) the facet in conn (..., f, 4) of which it is a certain corner, -1 if none."""
+    """For each node (..., n, 4) the facet in conn (..., f, 4) of which it is a certain corner, -1 if none."""
     out = conn.new_full((*conn.shape[:-2], nodes, 4), -1, dtype=torch.int32)
     number = torch.arange(conn.shape[-2], dtype=torch.int32, device=conn.device)
     return out.scatter_(-2, conn.long(), number[:, None].expand(conn.shape))

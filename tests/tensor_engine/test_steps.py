@@ -1,11 +1,10 @@
-"""A step of the contact by kernels is that by plain operations; without a GPU under Triton's interpreter."""
+"""What a step of the contact decides, and in how few launches a GPU does it."""
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,13 @@ if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
 needs("triton")
 
+import warp as wp
 from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
 from tacgen.geometry.analytic_sdf import SphereSdf
-from tacgen.tensor_engine import condensation, load_step, reduction, replay
 from tacgen.tensor_engine import contact_newton as newton
 from tacgen.tensor_engine import device as devices
+from tacgen.tensor_engine import reduction, replay
 from tacgen.tensor_engine.contact_newton import Iterates, TriedStep
 from tacgen.tensor_engine.replay import Replays
 from tensor_engine.batches import batch, path, small, solve
@@ -31,10 +31,8 @@ from tensor_engine.compiling import interpreted_and_compiled
 from tensor_engine.dense import Dense
 from tensor_engine.test_contact import Case
 
-pytestmark = pytest.mark.slow  # the interpreter takes seconds
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 R = np.random.default_rng
-alone = pytest.mark.skipif(DEVICE == "cuda", reason="small batches are on the CPU")
 # operations that launch nothing
 VIEWS = {"view", "expand", "slice", "select", "unsqueeze", "squeeze", "transpose", "t", "permute", "_unsafe_view"}
 VIEWS |= {"unbind", "alias", "detach", "empty", "empty_like", "new_empty", "split", "diagonal", "expand_as"}
@@ -42,23 +40,8 @@ VIEWS |= {"unbind", "alias", "detach", "empty", "empty_like", "new_empty", "spli
 LAUNCHES = {"contact": 57, "search": 59, "measure": 64, "load": 23}
 
 
-@pytest.fixture(autouse=True)
-def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with interpreted_and_compiled(monkeypatch):
-        yield
-
-
 def tensor(values: Any) -> torch.Tensor:
     return torch.tensor(np.array(values), device=DEVICE)
-
-
-def both(function: Callable[[], Any], monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any]:
-    """What a function returns by kernels, and by plain operations."""
-    found = []
-    for by_kernels in (True, False):
-        monkeypatch.setattr(devices, "by_kernels", lambda x, now=by_kernels: now)
-        found.append(function())
-    return found[0], found[1]
 
 
 def same(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-12) -> bool:
@@ -69,7 +52,8 @@ def same(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-12) -> 
     return found.dtype == wanted.dtype and bool(close & (found[~finite] == wanted[~finite]).all())
 
 
-def test_solutions_on_the_kept_unknowns_are_put_together(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_solutions_on_the_kept_unknowns_are_put_together(dtype: type) -> None:
     r, k, a, e = R(5), 30, 12, 19
     place = np.full((4, k), reduction.PADDING_PLACE)  # the last two are padding
     place[:, 3:13] = np.arange(10)
@@ -78,46 +62,62 @@ def test_solutions_on_the_kept_unknowns_are_put_together(monkeypatch: pytest.Mon
     place[:, lost[0, :18]] = -1 - np.arange(18)
     kept = np.full((4, a), -1)
     kept[:, :10] = np.arange(3, 13)
-    G, X, K = (tensor(r.normal(size=(6, *shape)).astype(np.float32)) for shape in ((e, e), (e, a), (a, a)))
-    K = K @ K.mT + 4 * torch.eye(a, device=DEVICE)
+    G, X, K = (tensor(r.normal(size=(6, *shape)).astype(dtype)) for shape in ((e, e), (e, a), (a, a)))
+    K = K @ K.mT + 4 * torch.eye(a, dtype=K.dtype, device=DEVICE)
+    K[:, 10:, :10] = K[:, :10, 10:] = 0.0
     X[4, 2, 3] = torch.inf
-    used = tensor(np.full(6, 18)), tensor(np.full(6, 10))
+    used, slots = (tensor(np.full(6, 18)), tensor(np.full(6, 10))), tensor([3, 0, 5, 4])
     G[:, 18:] = G[:, :, 18:] = X[:, 18:] = X[:, :, 10:] = 0.0
-    part = reduction.Reduction(*map(tensor, (kept, lost, place)), G, X, K, tensor([3, 0, 5, 4]), used)
+    part = reduction.Reduction(*map(tensor, (kept, lost, place)), G, X, K, slots, used)
     b = tensor(r.normal(size=(4, k)))
-    (x, good), (wanted, fine) = both(lambda: part.solve(K[part.slots], b, True), monkeypatch)
-    assert same(x, wanted, 1e-6)
-    assert good.tolist() == fine.tolist() == [True, True, True, False]
-    assert (x[0, :28] != 0).all()
+    x, good = part.solve(K[slots], b, True)
+    assert good.tolist() == [True, True, True, False]
     assert (x[:, 28:] == 0).all()
-    right, product = b[..., None].float(), b[..., None].float() * (1 + 0.9 * reduction.MAX_UNPIVOTED_RESIDUAL)
-    product[1, 4] += 2 * reduction.MAX_UNPIVOTED_RESIDUAL * right[1].abs().max()
+    assert (x[3] == 0).all()
+    for row, slot in enumerate(slots.tolist()[:3]):
+        lesser, inner = X[slot, :18, :10].double(), b[row, lost[0, :18]]
+        own = torch.linalg.solve(K[slot, :10, :10].double(), b[row, 3:13] - lesser.T @ inner)
+        rest = G[slot, :18, :18].double() @ inner - lesser @ own
+        assert same(x[row, 3:13], own, 2e-5 if dtype is np.float32 else 1e-12)
+        assert same(x[row, lost[0, :18]], rest, 2e-5 if dtype is np.float32 else 1e-12)
+    limit, right = reduction.MAX_UNPIVOTED_RESIDUAL, b[..., None].to(G.dtype)
+    product = right * (1 + 0.9 * limit)
+    product[1, 4] += 2 * limit * right[1].abs().max()
     product[2, 5] = torch.nan
-    one, other = both(lambda: reduction._exact(right, product), monkeypatch)
-    assert one.tolist() == other.tolist() == [True, False, False, True]
+    assert reduction._exact(right, product).tolist() == [True, False, False, True]
 
 
 @pytest.mark.parametrize("symmetric", [False, True])
-def test_fractions_to_try_and_figures_of_steps(symmetric: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fractions_to_try_and_figures_of_steps(symmetric: bool) -> None:
     case, r = Case(), R(6)
     gap = case.many.evaluate(case.X).gap.to(DEVICE)
     parts = {name: getattr(case.many, name).to(DEVICE) for name in ("conn", "N", "areas")}
-    contact, (s, m, _) = replace(case.many, **parts), case.X.shape
+    contact, (s, m, _) = replace(case.many, **parts | {"conn": parts["conn"].int()}), case.X.shape
     start, gradient, g, p, bent = (tensor(r.normal(size=(s, m, 3))) for _ in range(5))
     p = p * tensor(10.0 ** -np.arange(s))[:, None, None]  # some steps are short enough to be whole
     whole = g * tensor(np.where(np.arange(s) % 2, 0.49, 0.51))[:, None, None]
     exists, reach = tensor(np.arange(s) != 3), tensor(np.linspace(0.1, 0.9, s))
-    trial = TriedStep(case.X.to(DEVICE), start, tensor(r.normal(size=(s, 3 * m))), gradient, g, p, bent,
-                  None if symmetric else whole, exists)  # fmt: skip
+    X, load = case.X.to(DEVICE), tensor(r.normal(size=(s, 3 * m)))
+    trial = TriedStep(X, start, load, gradient, g, p, bent, None if symmetric else whole, exists)
     least = newton.MIN_LINE_SEARCH_FRACTION if symmetric else newton.MIN_COUPLED_FRACTION
-    found, wanted = both(lambda: newton.tried(trial, contact, gap, reach, least), monkeypatch)
-    for one, other in zip(found, wanted, strict=True):
-        assert same(one, other)
-    assert 0 < wanted[0][:, 1].min() < wanted[0][:, 1].max() == 1
-    assert wanted[1][:, newton.FULL_STEP_COLUMN].sum() == (0 if symmetric else 2)  # not 1, too long, nor 3
+    fractions, figures = newton.tried(trial, contact, gap, reach, least)
+    first = contact.max_step(gap, p, reach)
+    assert same(fractions[:, 1], first)
+    assert (fractions[:, 0] == 0).all()
+    assert same(fractions[:, 2:] * 2, fractions[:, 1:-1])
+    assert fractions[first == 1][:, -1].max() < 2 * least
+    assert 0 < first.min() < first.max() == 1
+    dots = (X - start, gradient + load.view_as(X)), (gradient, 2 * p), (p, 2 * bent)
+    wanted = torch.stack([(one * other).sum((1, 2)) / 2 for one, other in dots], 1)
+    assert same(figures[:, :3], wanted)
+    assert same(figures[:, 3], torch.where(exists, (g * p).sum((1, 2)), torch.inf))
+    assert torch.equal(figures[:, newton.LONGEST_COLUMN], p.abs().amax((1, 2)))
+    full = exists & (first == 1) & tensor(np.arange(s) % 2 == 1)  # not 1, too long, nor 3
+    assert figures[:, newton.FULL_STEP_COLUMN].tolist() == (0.0 * full if symmetric else full.double()).tolist()
+    assert full.sum() == 2
 
 
-def test_the_first_fraction_that_is_low_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_fraction_that_is_low_enough() -> None:
     fractions = tensor([[0.0, 1.0, 0.5, 0.25, 0.125]]).double().repeat(7, 1)
     figures = tensor([[1.0, 2.0, 0.5, -1.0, 0.3, 0.0]]).repeat(7, 1)
     figures[4, 3], figures[5, 3], figures[6, 5] = 0.1, torch.inf, 1.0
@@ -130,39 +130,48 @@ def test_the_first_fraction_that_is_low_enough(monkeypatch: pytest.MonkeyPatch) 
     merits[4, 1:] -= 0.5
     merits[5, 1:] -= 0.5
     for least, third in ((0.1, 0.125), (0.2, 0.0)):
-        found, wanted = both(partial(newton.downhill, fractions, figures, merits, least), monkeypatch)
-        assert found.tolist() == wanted.tolist() == [1.0, 0.25, third, 0.0, 0.0, 0.0, 1.0]
+        found = newton.downhill(fractions, figures, merits, least)
+        assert found.tolist() == [1.0, 0.25, third, 0.0, 0.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize("symmetric", [False, True])
-def test_ends_of_steps(symmetric: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    case, r, s, m = Case(), R(7), 64, 30
-    some = tensor(np.arange(s) % len(case.X))
-    contact = replace(case.many, **{name: getattr(case.many, name).to(DEVICE)[some] for name in ("dhat", "offset")})
-    x, start = (tensor(r.normal(size=(s, m, 3))) for _ in range(2))
-    start = x + 0.1 * start
-    longest = 10.0 ** tensor(r.integers(-12, 0, s)).double()
-    step = tensor(r.uniform(-1, 1, (s, m, 3))) * longest[:, None, None]
-    fraction = tensor(r.choice([0.0, 1e-8, 0.5, 1.0], s, p=[0.2, 0.1, 0.2, 0.5]))
-    figures = torch.stack([longest] * 6, 1)
-    N = tensor(r.uniform(0, 1, (s, 5, 4))) * tensor(r.integers(0, 2, s)).double()[:, None, None]
-    felt = replace(case.many.evaluate(case.X), N=N, gap=tensor(r.uniform(0, 0.04, (s, 5, 4))))
-    numbers = [tensor(r.uniform(-0.01, 0.1, s)) for _ in range(5)]
-    now = Iterates(x, contact.shrunk(numbers[0]), tensor(r.integers(0, 12, s)), *numbers[1:4], tensor(np.zeros(s, int)))
-    xtol, radius = tensor(r.choice([1e-4, 1e-1], s)), tensor(r.choice([0.25, 9.0], s))
-
-    def after() -> Iterates:
-        contact, drift = newton.shrunk(now)
-        there = x + fraction[:, None, None] * step
-        return newton.ended(now, contact, drift, start, there, fraction, figures, felt, xtol, radius, 10, symmetric)
-
-    found, wanted = both(after, monkeypatch)
-    for name in ("x", "steps", "length", "drift", "gap", "status"):
-        assert same(getattr(found, name), getattr(wanted, name)), name
-    assert same(found.contact.offset, wanted.contact.offset)
-    searching = set() if symmetric else {newton.SEARCHING}
-    ends = {newton.RUNNING, newton.CONVERGED, newton.STOPPED, newton.UNSTABLE}
-    assert set(wanted.status.tolist()) == ends | searching
+def test_ends_of_steps(symmetric: bool) -> None:
+    """Of scenes that move as they like, nowhere, out of the radius, hardly, not at all, and after too many steps."""
+    case, m, most = Case(), 5, 10
+    s, r = 6, R(7)
+    contact = replace(case.many, offset=tensor(np.full(s, 0.01)), dhat=tensor(np.full(s, 0.05)))
+    x, radius, xtol = tensor(r.normal(size=(s, m, 3))), tensor(np.full(s, 1.0)), tensor(np.full(s, 1e-3))
+    fraction = tensor([0.5, 1.0, 1.0, 1e-12, 0.0, 1.0])
+    step = tensor(np.full((s, m, 3), 0.1))
+    step[1], step[2, 0, 0], step[3] = 1e-4, -3.0, 0.1
+    figures = torch.zeros(s, 6, dtype=x.dtype, device=DEVICE)
+    figures[:, newton.LONGEST_COLUMN] = step.abs().amax((1, 2))
+    N, gaps = tensor(r.uniform(0.1, 1, (s, 5, 4))), tensor(np.full((s, 5, 4), 0.012))
+    N[5] = 0.0
+    felt = replace(case.many.evaluate(case.X), N=N, gap=gaps)
+    length, drift, gap = (tensor(np.full(s, value)) for value in (0.01, 0.5, 0.012))
+    counts = tensor([3, 3, 3, 3, 3, most])
+    now = Iterates(x, contact, counts, length, drift, gap, counts * 0)
+    ahead, drifted = newton.shrunk(now)
+    assert ahead.offset.tolist() == [0.012] * s
+    assert drifted.tolist() == pytest.approx([0.002] * s)
+    far, away = newton.shrunk(replace(now, length=length + 1.0, gap=gap))
+    assert (far.offset.tolist(), away.tolist()) == ([0.01] * s, [0.5] * s)
+    drifted = tensor(np.full(s, 5e-4))
+    there = x + fraction[:, None, None] * step
+    found = newton.ended(now, ahead, drifted, x, there, fraction, figures, felt, xtol, radius, most, symmetric)
+    stuck = newton.UNSTABLE if symmetric else newton.SEARCHING
+    states = newton.RUNNING, newton.CONVERGED, newton.UNSTABLE, newton.STOPPED, stuck, newton.STOPPED
+    assert found.status.tolist() == list(states)
+    assert found.steps.tolist() == [4, 4, 4, 4, 4 if symmetric else 3, most]
+    assert torch.equal(found.x[[0, 1, 3]], there[[0, 1, 3]])
+    assert torch.equal(found.x[4:], x[4:])  # the last has no more steps
+    assert same(found.x[2], x[2] + step[2] / 3)  # to the radius
+    assert found.length.tolist() == pytest.approx([0.1, 1e-4, 0.01, 0.1, 0.01, 0.01])
+    assert found.gap.tolist() == pytest.approx([0.012, 0.012, 0.012, 0.012, 0.012, -1.0])
+    kept = [5e-4] * 4 + [5e-4 if symmetric else 0.5, 5e-4]
+    assert found.drift.tolist() == pytest.approx(kept)
+    assert found.contact.offset.tolist() == [0.012] * 4 + [0.012 if symmetric else 0.01, 0.012]
 
 
 class Launches(TorchDispatchMode):
@@ -189,16 +198,22 @@ class Launches(TorchDispatchMode):
         monkeypatch.setattr(owner, name, one)
 
 
-@alone
+@pytest.mark.slow  # the interpreter takes seconds
+@pytest.mark.skipif(DEVICE == "cuda", reason="small batches are on the CPU")
 def test_a_scene_solved_by_kernels_in_few_launches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one that takes parts of coupled steps and of a symmetric one."""
     import triton.runtime.interpreter
 
-    """Of one that takes parts of coupled steps and of a symmetric one."""
+    with interpreted_and_compiled(monkeypatch):
+        _count_launches(monkeypatch, triton.runtime.interpreter.GridExecutor)
+
+
+def _count_launches(monkeypatch: pytest.MonkeyPatch, grids: type) -> None:
     scenes, launches, counts, keys = [small(SphereSdf(1.5), path((0.2, 0.1, -0.35)), friction=0.5)], Launches(), {}, []
     (wanted,) = solve(batch(scenes), scenes)
     monkeypatch.setattr(devices, "by_kernels", lambda x: True)
     for owner, name in (*((Dense, each) for each in ("factor", "schur", "forward", "expand")),
-                        (triton.runtime.interpreter.GridExecutor, "__call__")):  # fmt: skip
+                        (grids, "__call__"), (wp, "launch")):  # fmt: skip
         launches.as_one(owner, name, monkeypatch)
     noting, called = replay._noting, Replays._called
 
