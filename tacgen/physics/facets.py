@@ -72,7 +72,7 @@ def near(
     anchors: wp.array3d(dtype=wp.vec3d),
     ends: wp.array3d(dtype=wp.int32),
 ):
-    """Of the facets that are numbered in faces (capacity, m), -1 where there is none: conn (s, f, 4) in the numbers
+    """For the facets that are numbered in faces (capacity, m), -1 where there is none: conn (s, f, 4) in the numbers
     local (capacity, n) of the nodes of facets (F, 4); areas (s, f, q) of those (capacity, F, q), 0 where there is none;
     anchors (s, f, q); and `ends`, which is -1 before."""
     s, f, k = wp.tid()
