@@ -5,65 +5,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.base.compiled import njit
+from tacgen.physics import assembly
+from tacgen.physics.runtime import call
 
 Array = np.ndarray
 
 
-@njit(cache=True)
 def at_points(x: Array, conn: Array, N: Array) -> Array:
     """Positions (f, q, 3) of the quadrature points of facets conn (f, a); N (q, a)."""
     out = np.empty((len(conn), len(N), 3))
-    for f in range(len(conn)):
-        for q in range(len(N)):
-            for i in range(3):
-                along = 0.0
-                for a in range(conn.shape[1]):
-                    along += N[q, a] * x[conn[f, a], i]
-                out[f, q, i] = along
+    call(assembly.at_points, (len(conn),), x, np.asarray(conn, np.int32), N, out)
     return out
 
 
-@njit(cache=True)
 def add_point_forces(forces: Array, conn: Array, N: Array, out: Array) -> None:
     """Add forces (f, q, c) at the quadrature points of facets conn (f, a) to their nodes in out (n, c)."""
-    for f in range(len(conn)):
-        for q in range(len(N)):
-            for a in range(conn.shape[1]):
-                for i in range(forces.shape[2]):
-                    out[conn[f, a], i] += N[q, a] * forces[f, q, i]
+    (f, q, c), conn = forces.shape, np.asarray(conn, np.int32)
+    if c % 3 == 0:
+        call(assembly.add_forces, (1,), forces.reshape(f, q, c // 3, 3), conn, N, out.reshape(-1, c // 3, 3))
+        return
+    triples = np.zeros((len(out), c + -c % 3))
+    add_point_forces(np.pad(forces, ((0, 0), (0, 0), (0, -c % 3))), conn, N, triples)
+    out += triples[:, :c]
 
 
-@njit(cache=True)
 def add_point_blocks(D: Array, N: Array, slots: Array, data: Array) -> None:
     """Add stiffnesses D (f, q, 3, 3) of the quadrature points of facets to the CSR `data` at `slots` (f, 3a*3a)."""
-    for f in range(len(D)):
-        k = 0
-        for a in range(N.shape[1]):
-            for i in range(3):
-                for b in range(N.shape[1]):
-                    for j in range(3):
-                        if slots[f, k] >= 0:
-                            for q in range(len(N)):
-                                data[slots[f, k]] += N[q, a] * N[q, b] * D[f, q, i, j]
-                        k += 1
+    call(assembly.add_sparse_blocks, (1,), D, N, slots, data)
 
 
-@njit(cache=True)
 def add_dense_blocks(D: Array, N: Array, dofs: Array, K: Array) -> None:
     """Add stiffnesses D (f, q, 3, 3) of quadrature points to the dense K (k, k) at `dofs` (f, a, 3); -1: fixed."""
-    for f in range(len(D)):
-        for q in range(len(N)):
-            for a in range(N.shape[1]):
-                for b in range(N.shape[1]):
-                    w = N[q, a] * N[q, b]
-                    for i in range(3):
-                        r = dofs[f, a, i]
-                        if r >= 0:
-                            for j in range(3):
-                                c = dofs[f, b, j]
-                                if c >= 0:
-                                    K[r, c] += w * D[f, q, i, j]
+    call(assembly.add_dense_blocks, (1,), D, N, dofs, K)
 
 
 @dataclass(frozen=True)

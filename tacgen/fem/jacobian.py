@@ -10,13 +10,13 @@ from itertools import product
 
 import numpy as np
 
-from tacgen.base.compiled import njit
 from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
+from tacgen.physics import jacobian
+from tacgen.physics.runtime import call
 
 Array = np.ndarray
 MAX_SUBDIVISIONS = 6  # most subdivisions; each reduces the gap between coefficients and values about four times
-# most pieces that are subdivided at once (35 MB); if all elements fold there would be millions
-MAX_SUBDIVIDED_PIECES = 20_000
+MAX_PIECES = 1000  # most pieces into which an element is divided; one that is near its least value takes about 50
 # coefficients of a quadratic polynomial on each half of an edge from those on the whole edge, by de Casteljau
 EDGE_HALVING = np.array([[[4, 0, 0], [2, 2, 0], [1, 2, 1]], [[1, 2, 1], [0, 2, 2], [0, 0, 4]]]) / 4
 # the eight pieces of a tet by its nodes, in Bey's order (1995), which keeps the shapes of repeated pieces bounded
@@ -30,23 +30,36 @@ class Bernstein:
     """Constants that give the k Bernstein coefficients of the determinant from the a nodes of an element type.
 
     Each column of the Jacobian matrix is linear between its values at p places, so the determinant is a sum over p^3
-    triples of them, and a coefficient is the mean of the triples of its monomial. columns (3, p, a): dN/dxi at the
-    places; monomial (p, p, p): number of the coefficient; share (k,): 1 over how many triples it has, so 1 at corners;
-    pieces (c, k, k): the coefficients on each part of a divided element from those on the whole.
+    triples of them, and a coefficient is the mean of the triples of its monomial. columns (3, p, b): dN/dxi at the
+    places, of the nodes (3, p, b) where it is not 0; monomial (p, p, p): number of the coefficient; share (k,): 1 over
+    how many triples it has, so 1 at corners; pieces (c, k, k): the coefficients on each part of a divided element from
+    those on the whole.
     """
 
+    nodes: Array
     columns: Array
     monomial: Array
     share: Array
     pieces: Array
 
+    @property
+    def whole(self) -> tuple[Array, ...]:
+        """All that gives the coefficients of an element that is not divided."""
+        return self.nodes, self.columns, self.monomial, self.share
 
-def _table(columns: Array, powers: Array) -> tuple[Array, Array, Array]:
-    """Columns, monomials and shares; powers (3, p, v): exponents of the factors of the columns' values."""
+
+def _table(columns: Array, powers: Array) -> tuple[Array, Array, Array, Array]:
+    """Nodes, columns, monomials and shares; powers (3, p, v): exponents of the factors of the columns' values."""
     total = powers[0][:, None, None] + powers[1][:, None] + powers[2]
     p = powers.shape[1]
     _, number, count = np.unique(total.reshape(p**3, -1), axis=0, return_inverse=True, return_counts=True)
-    return np.ascontiguousarray(columns), number.reshape(p, p, p), 1 / count
+    nodes = np.argsort(columns == 0, axis=2, kind="stable")[..., : (columns != 0).sum(2).max()]
+    return (
+        nodes.astype(np.int32),
+        np.take_along_axis(columns, nodes, 2),
+        number.reshape(p, p, p).astype(np.int32),
+        1 / count,
+    )
 
 
 def _hexes() -> Bernstein:
@@ -64,15 +77,15 @@ def _tets() -> Bernstein:
     """Degree 3: a column of a quadratic tet is linear, and its places are the corners."""
     corners = np.eye(4)
     _, dL = barycentric(corners, 10)
-    columns, monomial, share = _table((dL[..., 1:] - dL[..., :1]).transpose(2, 0, 1), np.array([corners] * 3))
+    nodes, columns, monomial, share = _table((dL[..., 1:] - dL[..., :1]).transpose(2, 0, 1), np.array([corners] * 3))
     pieces = np.zeros((len(TET_EIGHTHS), len(share), len(share)))
-    nodes = np.concatenate([corners, corners[TET_EDGES].mean(1)])
-    for piece, ends in zip(pieces, nodes[TET_EIGHTHS], strict=True):
+    places = np.concatenate([corners, corners[TET_EDGES].mean(1)])
+    for piece, ends in zip(pieces, places[TET_EIGHTHS], strict=True):
         for triple in np.ndindex(4, 4, 4):  # the blossom at three corners of the piece; it is symmetric
             a, b, c = ends[list(triple)]
             weights = a[:, None, None] * b[:, None] * c
             piece[monomial[triple]] = np.bincount(monomial.ravel(), weights.ravel(), len(share))
-    return Bernstein(columns, monomial, share, pieces)
+    return Bernstein(nodes, columns, monomial, share, pieces)
 
 
 def _linear() -> Bernstein:
@@ -84,59 +97,29 @@ def _linear() -> Bernstein:
 JACOBIAN_TABLES = {8: _hexes(), 10: _tets(), 4: _linear()}  # by the number of nodes
 
 
-@njit(cache=True)
-def coefficients(points: Array, cells: Array, columns: Array, monomial: Array, share: Array) -> Array:
-    """Bernstein coefficients (e, k) [mm^3] of the determinant of the map from the reference element; see Bernstein."""
-    p, nodes = columns.shape[1], columns.shape[2]
-    out, g = np.empty((len(cells), len(share))), np.empty((3, p, 3))
-    out[:] = 0.0  # an array of zeros takes longer to compile
-    for e in range(len(cells)):
-        g[:] = 0.0
-        for k in range(3):
-            for i in range(p):
-                for a in range(nodes):
-                    w = columns[k, i, a]
-                    if w != 0.0:
-                        for j in range(3):
-                            g[k, i, j] += w * points[cells[e, a], j]
-        for i in range(p):
-            for j in range(p):
-                u = g[0, i, 1] * g[1, j, 2] - g[0, i, 2] * g[1, j, 1]
-                v = g[0, i, 2] * g[1, j, 0] - g[0, i, 0] * g[1, j, 2]
-                w = g[0, i, 0] * g[1, j, 1] - g[0, i, 1] * g[1, j, 0]
-                for k in range(p):
-                    out[e, monomial[i, j, k]] += u * g[2, k, 0] + v * g[2, k, 1] + w * g[2, k, 2]
-        for k in range(len(share)):  # an array expression takes two seconds longer to compile
-            out[e, k] *= share[k]
-    return out
-
-
 def least_jacobian(rest: Array, points: Array, cells: Array, tol: float = 0.01) -> float:
     """Lower bound of J at all points of all elements.
 
     rest, points (n, 3) [mm]: positions of the nodes at rest and now; cells (e, 8, 10 or 4): trilinear hexes, quadratic
     or linear tets. J is det(dx/dxi) over the element's mean det(dX/dxi); for an element that is affine at rest it is
     the Jacobian of the deformation. The bound holds up to rounding, and is at most `tol` below the least J unless
-    MAX_SUBDIVISIONS or MAX_SUBDIVIDED_PIECES is reached; -inf if points are not finite.
+    MAX_SUBDIVISIONS or MAX_PIECES is reached; -inf if points are not finite.
 
     Raises:
         ValueError: an element has no volume at rest.
     """
-    table = JACOBIAN_TABLES[cells.shape[1]]
-    arguments = cells, table.columns, table.monomial, table.share
-    volume = coefficients(rest, *arguments).mean(1)  # each Bernstein polynomial has the same integral
+    table, x, conn = JACOBIAN_TABLES[cells.shape[1]], points[None], np.asarray(cells, np.int32)
+    volume, low, attained = (np.empty((1, len(cells))) for _ in range(3))
+    call(
+        jacobian.whole_bounds, volume.shape, rest[None], x, conn, np.zeros((0, 0), bool), *table.whole, volume, low,
+        attained,
+    )  # fmt: skip
     if not (volume > 0).all():
         raise ValueError(f"{int((~(volume > 0)).sum())} elements have no volume at rest")
-    pieces = coefficients(points, *arguments) / volume[:, None]
-    if not np.isfinite(pieces).all():
-        return -np.inf
-    corners, bound, attained = table.share == 1, np.inf, np.inf
-    for depth in range(MAX_SUBDIVISIONS + 1):
-        attained = min(attained, pieces[:, corners].min(initial=np.inf))
-        low = pieces.min(1)
-        undecided = low < attained - tol
-        bound = min(bound, low[~undecided].min(initial=np.inf))
-        if depth == MAX_SUBDIVISIONS or undecided.sum() > MAX_SUBDIVIDED_PIECES or not undecided.any():
-            break
-        pieces = (pieces[undecided] @ table.pieces.reshape(-1, len(corners)).T).reshape(-1, len(corners))
-    return float(min(bound, low.min(initial=np.inf)))
+    least = attained.min(1)
+    if low.min() < least[0] - tol:
+        call(
+            jacobian.divided_bounds, volume.shape, x, conn, *table.whole, table.pieces, volume, least, tol,
+            MAX_SUBDIVISIONS, MAX_PIECES, low,
+        )  # fmt: skip
+    return float(low.min())

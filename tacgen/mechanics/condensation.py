@@ -16,9 +16,10 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, lu_solve, solve_triang
 from scipy.linalg.blas import dsymv, dsyrk
 from scipy.linalg.lapack import dgetrf, dlauum, sgetrf, sgetrs
 
-from tacgen.base.compiled import njit
 from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.mechanics.linear_solvers import Cholmod, dissection
+from tacgen.physics import assembly
+from tacgen.physics.runtime import call
 
 Array = np.ndarray
 MIN_DAMPING = 0.02  # smallest Levenberg-Marquardt damping that is worth trying, over the stiffness at rest [-]
@@ -184,15 +185,9 @@ def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tu
     return L[rows], S
 
 
-@njit(cache=True)
 def _mirror(A: Array) -> None:
-    """Copy the lower triangle of A (k, k) to the upper one, in blocks that fit into the processor's cache."""
-    n, size = len(A), 64
-    for row in range(0, n, size):
-        for column in range(0, row + 1, size):
-            for i in range(row, min(row + size, n)):
-                for j in range(column, min(column + size, i)):
-                    A[j, i] = A[i, j]
+    """Copy the lower triangle of A (k, k) to the upper one."""
+    call(assembly.mirror, (-(-len(A) // int(assembly.MIRRORED_ROWS)),), A)
 
 
 class _AtRest:

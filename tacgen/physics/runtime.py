@@ -6,6 +6,7 @@ import math
 import tempfile
 import threading
 import warnings
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,22 @@ import warp as wp
 
 from tacgen.base import array_cache, compiled
 
+Array = np.ndarray
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
+BATCHES = "tacgen.batches"  # of kernels of many scenes alone, which a core runs in tests
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
-KERNEL_FILES = {MODULE: ("elements", "tangents", "distances", "edges", "contact"), OPTICS: tuple[str, ...]()}
+KERNEL_FILES = {
+    MODULE: ("assembly", "contact", "distances", "edges", "elements", "jacobian", "tangents"),
+    BATCHES: ("facets", "steps"),
+    OPTICS: tuple[str, ...](),
+}
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
+BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
+# bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there
+# takes a tenth of the time of __array_interface__
+ARRAY_ADDRESS = object.__basicsize__
+_Address = ctypes.c_void_p
 
 
 @cache
@@ -63,51 +75,70 @@ class Launches:
     """Launches on a core of one object's kernels, prepared: to prepare one takes longer than to run it on few cells."""
 
     def __init__(self) -> None:
-        self._prepared: dict[tuple[Any, ...], PreparedLaunch] = {}
+        self._of_types: dict[tuple[Any, ...], PreparedLaunch] = {}
+        self._of_shapes: dict[tuple[Any, ...], Callable[[list[Array]], None]] = {}
 
     def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
-        """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay."""
+        """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay.
+
+        Raises ValueError: the last axes of an array are not those of the kernel's type.
+        """
         if 0 in dim:
             return
         key: list[Any] = [kernel, dim]
-        addresses, plain = [], []
+        rows = []
         for value in values:
             if isinstance(value, np.ndarray):
                 row = value if value.flags.c_contiguous else np.ascontiguousarray(value)
-                key.append((row.shape, row.dtype.char))
-                addresses.append(row.__array_interface__["data"][0])
-                plain.append(row)  # lives until the kernel has run
+                rows.append(row)  # lives until the kernel has run
+                key += row.shape, row.dtype.char
             else:
                 key.append(id(value) if isinstance(value, wp.array) else value)
-                plain.append(value)
         asked = tuple(key)
-        prepared = self._prepared.get(asked)
-        if prepared is None:
-            if len(self._prepared) == MAX_PREPARED_LAUNCHES:
-                del self._prepared[next(iter(self._prepared))]
-            prepared = self._prepared[asked] = PreparedLaunch(kernel, dim, plain)
-        prepared.run(addresses)
+        run = self._of_shapes.get(asked)
+        if run is None:
+            if len(self._of_shapes) == MAX_PREPARED_LAUNCHES:
+                del self._of_shapes[next(iter(self._of_shapes))]
+            types = (kernel, *(part for part in asked[2:] if not isinstance(part, tuple)))
+            if types not in self._of_types:
+                self._of_types[types] = PreparedLaunch(kernel, dim, values)
+            run = self._of_shapes[asked] = self._of_types[types].fitted(dim, rows)
+        run(rows)
 
 
 class PreparedLaunch:
-    """A kernel's launch on a core with arrays of NumPy of certain shapes; their addresses are given to `run`."""
+    """A kernel's launch on a core with arrays of NumPy of certain types, and all else as in `values`."""
 
-    def __init__(self, kernel: wp.Kernel, dim: tuple[int, ...], values: list[Any]) -> None:
-        recorded = launch(kernel, dim, *values, record=True)
-        bounds, *params = recorded.params  # the first parameter is the launch's size
+    def __init__(self, kernel: wp.Kernel, dim: tuple[int, ...], values: tuple[Any, ...]) -> None:
+        values = tuple(np.ascontiguousarray(each) if isinstance(each, np.ndarray) else each for each in values)
+        self._recorded = launch(kernel, dim, *values, record=True)
+        _, *params = self._recorded.params  # the first parameter is the launch's size
         names = [f"p{k}" for k in range(len(params))]
         fields = [(name, type(param)) for name, param in zip(names, params, strict=True)]
-        given: Any = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*params)
-        self._arrays = [
-            getattr(given, name) for name, value in zip(names, values, strict=True) if isinstance(value, np.ndarray)
-        ]
-        self._stays = [value for value in values if isinstance(value, wp.array)], bounds, recorded.module_exec, given
-        self._function, self._arguments = recorded.hooks.forward, (ctypes.byref(bounds), ctypes.byref(given))
+        self._given: Any = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*params)
+        arrays = [(name, argument.type.ndim, value)
+                  for name, argument, value in zip(names, kernel.adj.args, values, strict=True)
+                  if isinstance(value, np.ndarray)]  # fmt: skip
+        self._arrays = [(name, axes, value.shape[axes:]) for name, axes, value in arrays]
+        self._stays = [value for value in values if isinstance(value, wp.array)]
 
-    def run(self, addresses: list[int]) -> None:
-        for there, address in zip(self._arrays, addresses, strict=True):
-            there.data = address
-        self._function(*self._arguments)
+    def fitted(self, dim: tuple[int, ...], rows: list[Array]) -> Callable[[list[Array]], None]:
+        """The launch with arrays of the shapes of these, which it is given when it runs."""
+        given = type(self._given).from_buffer_copy(self._given)
+        there = [getattr(given, name) for name, _, _ in self._arrays]
+        for part, row, (_, axes, last) in zip(there, rows, self._arrays, strict=True):
+            if row.shape[axes:] != last:
+                raise ValueError(f"an array of shape {row.shape}, where its last axes are {last}")
+            part.shape[:axes], part.strides[:axes] = row.shape[:axes], row.strides[:axes]
+        self._recorded.set_dim(dim)
+        function, arguments = self._recorded.hooks.forward, (ctypes.byref(self._recorded.bounds), ctypes.byref(given))
+
+        def run(rows: list[Array]) -> None:
+            for part, row in zip(there, rows, strict=True):
+                part.data = _Address.from_address(id(row) + ARRAY_ADDRESS).value
+            function(*arguments)
+
+        return run
 
 
 _threads = threading.local()
@@ -127,7 +158,7 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
     """
     kinds = [argument.type for argument in kernel.adj.args]
     found = [
-        array(value, kind.dtype) if isinstance(kind, wp.array) and not isinstance(value, wp.array | None) else value
+        array(value, kind.dtype) if hasattr(kind, "ndim") and not isinstance(value, wp.array | None) else value
         for kind, value in zip(kinds, values, strict=True)
     ]
     device = next(value.device for value in found if isinstance(value, wp.array))
@@ -145,6 +176,11 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
 def _stream(handle: int, device: str) -> wp.Stream:
     """Warp's object for a stream of PyTorch; a new one each time would be registered and removed in recordings."""
     return wp.Stream(device, cuda_stream=handle)
+
+
+def lanes(like: Any, count: int = BLOCK_THREADS) -> int:
+    """How many threads share work that one does on a core; those of a block can add what each has found."""
+    return count if like.is_cuda else 1
 
 
 def room(dtype: Any, shape: tuple[int, ...], like: Any) -> wp.array:

@@ -16,7 +16,8 @@ from torch import Tensor
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.problem import Problem
-from tacgen.tensor_engine import device as devices
+from tacgen.physics import facets
+from tacgen.physics.runtime import launch
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.course import Course
 from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
@@ -321,38 +322,36 @@ class Batch:
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""
-        conn = self.topology.faces.expand(len(s), -1, -1)
-        return self._contacts(s, offset, conn, *gathered(s, self.areas, self.t.anchor))
+        conn, ends = (part.expand(len(s), -1, -1) for part in (self.topology.faces, self.topology.ends))
+        areas, anchor = gathered(s, self.areas, self.t.anchor)
+        return self._contacts(s, offset, conn, areas, anchor, ends)
 
     def near(self, s: Tensor, offset: Tensor, nodes: int) -> Contacts:
         """Contact of the facets that are condensed, fewer than so many nodes, with the numbers of these nodes."""
-        t, facets = self.t, self.topology.facets
-        if devices.by_kernels(s):
-            from tacgen.tensor_engine import gpu_facets
-
-            parts = gpu_facets.near(s, nodes, t.faces, t.local, facets, self.areas, t.anchor)
-            return self._contacts(s, offset, *parts)
-        faces, row = t.faces[s, :nodes], s[:, None]
-        pad = (faces < 0)[..., None]
-        conn = torch.where(pad, 0, t.local[row[..., None], facets[faces]])
-        return self._contacts(s, offset, conn, torch.where(pad, 0.0, self.areas[row, faces]), t.anchor[row, faces])
+        t, areas = self.t, self.areas
+        f, q = min(nodes, t.faces.shape[1]), areas.shape[2]
+        conn = t.faces.new_empty(len(s), f, 4, dtype=torch.int32)
+        ends = t.faces.new_full((len(s), nodes, 4), -1, dtype=torch.int32)
+        area, anchor = areas.new_empty(len(s), f, q), areas.new_empty(len(s), f, q, 3)
+        launch(
+            facets.near, (len(s), f, max(q, 4)), s, t.faces, t.local, self.topology.facets, areas, t.anchor, conn, area,
+            anchor, ends,
+        )  # fmt: skip
+        return self._contacts(s, offset, conn, area, anchor, ends)
 
     def _contacts(
-        self, s: Tensor, offset: Tensor, conn: Tensor, areas: Tensor, anchor: Tensor, ends: Tensor | None = None
+        self, s: Tensor, offset: Tensor, conn: Tensor, areas: Tensor, anchor: Tensor, ends: Tensor
     ) -> Contacts:
         """Contact of facets of scenes s at the pose of the load step."""
         t, each = self.t, (self.shapes.table, self.t.rotation, self.t.position, self.dhat)
         table, rotation, position, dhat, kappa, friction, eps = gathered(s, *each, t.kappa, self.friction, self.eps)
         shapes = self.shapes.only(table)
         return Contacts(
-            shapes, conn.int(), self.N, areas, rotation, position, dhat, kappa, offset, friction, eps, anchor, ends
+            shapes, conn, self.N, areas, rotation, position, dhat, kappa, offset, friction, eps, anchor, ends
         )
 
     def at_condensed(self, s: Tensor, x: Tensor, nodes: int) -> Tensor:
         """Rows (s, nodes, 3) of x (B, n, 3) at the condensed nodes of scenes s; 0 where padded."""
-        if devices.by_kernels(s):
-            from tacgen.tensor_engine import gpu_facets
-
-            return gpu_facets.at_condensed(s, x, self.t.nodes, nodes)
-        at = self.t.nodes[s, :nodes]
-        return torch.where(at[..., None] >= 0, x[s[:, None], at.clamp(min=0)], 0.0)
+        out = x.new_empty(len(s), nodes, 3)
+        launch(facets.at_condensed, out.shape[:2], s, x, self.t.nodes, out)
+        return out

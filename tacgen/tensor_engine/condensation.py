@@ -8,6 +8,8 @@ from torch import Tensor
 
 from tacgen.mechanics.bulk_newton import MAX_DAMPING
 from tacgen.mechanics.condensation import more
+from tacgen.physics import facets
+from tacgen.physics.runtime import lanes, launch
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import Quadratics
@@ -99,14 +101,8 @@ def acted(b: Batch, sizes: Sizes, s: Tensor, contact: Contacts, N: Tensor, kept:
 
     Returns where they are more than those to which the bulk is reduced (s,) bool, and how many they are (s,).
     """
-    if contact.ends is not None:
-        from tacgen.tensor_engine import gpu_facets
-
-        return gpu_facets.acted(s, contact.ends, N, b.t.active, kept, b.t.wanted)
-    k, facets = sizes.unknowns, (N > 0).any(-1)
-    own = torch.zeros(len(s), k // 3 + 1, dtype=torch.bool, device=s.device)
-    own = own.scatter(1, torch.where(facets[..., None], contact.conn, k // 3).flatten(1), True)
-    new, active = own[:, :-1].repeat_interleave(3, 1), b.read("active", s, k)
-    wanted = new | (active & (kept > 0)[:, None])
-    b.keep(s, wanted=wanted)
-    return (kept == 0) | (new & ~active).any(1), wanted.sum(1)
+    stale, count, step = kept.new_empty(len(s), dtype=torch.bool), torch.empty_like(s), lanes(s)
+    launch(
+        facets.acted, (len(s), step), s, contact.ends, N, b.t.active, kept, b.t.wanted, step, stale, count
+    )  # fmt: skip
+    return stale, count

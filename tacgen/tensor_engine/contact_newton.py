@@ -19,14 +19,17 @@ from tacgen.mechanics.contact_newton import (
     MIN_LINE_SEARCH_FRACTION,
 )
 from tacgen.mechanics.line_search import ARMIJO_DECREASE
-from tacgen.tensor_engine import device as devices
+from tacgen.physics import facets, steps
+from tacgen.physics.runtime import lanes, launch
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.records import Forces
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 
-RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(5)  # see mechanics.contact_newton.ContactStatus
+RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(
+    5
+)  # as in physics.steps; see mechanics.contact_newton.ContactStatus
 # of the first fraction of a step
 STEP_HALVINGS = np.concatenate([[0.0], 0.5 ** np.arange(int(-np.log2(MIN_LINE_SEARCH_FRACTION)) + 1)])
 LONGEST_COLUMN, FULL_STEP_COLUMN = 4, 5  # columns of figures, see `tried`
@@ -58,17 +61,9 @@ class Quadratics:
 
 
 def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
-    """Nodal forces (s, n, c) of forces (s, f, q, c) at points; corner by corner, since on a grid a node is a certain
-    corner of one facet only: so the order of summation is always the same."""
-    if contact.ends is not None:
-        from tacgen.tensor_engine import gpu_facets
-
-        return gpu_facets.at_nodes(contact.ends, contact.N, forces)
-    parts = contact.N.T @ forces
-    out = forces.new_zeros(len(forces), nodes, forces.shape[-1])
-    for corner in range(4):
-        at = contact.conn[..., corner, None].expand(parts.shape[:2] + parts.shape[3:])
-        out.scatter_add_(1, at, parts[:, :, corner])
+    """Nodal forces (s, n, 3) of forces (s, f, q, 3) at points."""
+    out = forces.new_empty(len(forces), nodes, 3)
+    launch(facets.at_nodes, out.shape[:2], contact.ends, contact.N, forces, out)
     return out
 
 
@@ -90,14 +85,9 @@ class Iterates:
 def shrunk(now: Iterates) -> tuple[Contacts, Tensor]:
     """Contacts whose indenters are shrunk by the mean gap, and by how much it was off."""
     contact, (length, gap, drift) = now.contact, (now.length, now.gap, now.drift)
-    if devices.by_kernels(gap):
-        from tacgen.tensor_engine import gpu_steps
-
-        offset, drift = gpu_steps.shrunk(length, contact.dhat, gap, contact.offset, drift)
-        return contact.shrunk(offset), drift
-    near = (length <= contact.dhat) & (gap >= 0)  # far from the solution the mean gap is meaningless
-    drift = torch.where(near, gap - contact.offset, drift)
-    return contact.shrunk(torch.where(near, gap, contact.offset)), drift
+    parts = torch.empty_like(gap), torch.empty_like(gap)
+    launch(steps.shrunk, gap.shape, length, contact.dhat, gap, contact.offset, drift, *parts)
+    return contact.shrunk(parts[0]), parts[1]
 
 
 def step(
@@ -119,11 +109,7 @@ def step(
         whole = gradient + bent - at_nodes(contact, contact.evaluate(x + p).force, x.shape[1])
     trial = TriedStep(x, bulk.start, bulk.load, gradient, g, p, bent, whole, exists)
     fractions, figures = tried(trial, contact, forces.gap, reach, least)
-    if (
-        devices.by_kernels(x)
-        or recording()
-        or not bool(((figures[:, FULL_STEP_COLUMN] > 0) | (now.steps >= max_steps)).all())
-    ):
+    if x.is_cuda or recording() or not bool(((figures[:, FULL_STEP_COLUMN] > 0) | (now.steps >= max_steps)).all()):
         fraction = downhill(fractions, figures, contact.merits(x, p, fractions, forces), least)
     else:
         fraction = torch.ones_like(reach)
@@ -157,39 +143,22 @@ def tried(trial: TriedStep, contact: Contacts, gap: Tensor, reach: Tensor, least
     where there is no step, the longest motion of a node [mm], and whether the step halves the residual, 1, or not, 0.
     """
     halves = constant(STEP_HALVINGS, reach)[: int(-np.log2(least)) + 2]
-    if devices.by_kernels(reach):
-        from tacgen.tensor_engine import gpu_steps
-
-        return gpu_steps.tried(*trial, contact, gap, reach, halves)
-    x, start, load, gradient, g, p, bent, whole, exists = trial
-    first = contact.max_step(gap, p, reach)
-    full = torch.zeros_like(exists)
-    if whole is not None:
-        full = exists & (first >= 1) & (_norm(whole) <= MAX_FULL_STEP_RESIDUAL_RATIO * _norm(g))
-    energy = ((x - start).flatten(1) * (gradient.flatten(1) + load)).sum(1) / 2
-    linear, square, slope = ((one * other).sum((1, 2)) for one, other in ((gradient, p), (p, bent), (g, p)))
-    columns = energy, linear, square, torch.where(exists, slope, torch.inf), p.abs().flatten(1).amax(1), full.to(p)
-    return first[:, None] * halves, torch.stack(columns, 1)
-
-
-def _norm(g: Tensor) -> Tensor:
-    return torch.linalg.norm(g.flatten(1), dim=1)
+    x, *others, exists = trial
+    flat = [part if part is None else part.flatten(1) for part in (x, *others)]
+    fractions, figures, step = x.new_empty(len(x), len(halves)), x.new_empty(len(x), 6), lanes(x)
+    launch(
+        steps.tried, (len(x), step), *flat, exists, contact.conn, contact.N, gap, reach, halves,
+        MAX_FULL_STEP_RESIDUAL_RATIO, step, fractions, figures,
+    )  # fmt: skip
+    return fractions, figures
 
 
 def downhill(fractions: Tensor, figures: Tensor, merits: Tensor, least: float) -> Tensor:
     """The first fraction (s,) that lowers the merit function by Armijo's rule; 0 if none down to `least` does, or there
     is no step, and 1 where it halves the residual. merits (s, t): the contact's energy at the fractions."""
-    if devices.by_kernels(merits):
-        from tacgen.tensor_engine import gpu_steps
-
-        return gpu_steps.downhill(fractions, figures, merits, least)
-    energy, linear, square, slope, _, full = figures[..., None].unbind(1)
-    merit = energy + fractions * linear + fractions**2 * square / 2 + merits
-    here = merit[:, :1]
-    most = here + MERIT_ROUNDING * here.abs() + ARMIJO_DECREASE * fractions * slope
-    lower = (merit <= most) & (slope <= 0) & (fractions >= least)
-    first = lower.to(torch.int8).argmax(1, keepdim=True)
-    return torch.where(full > 0, 1.0, torch.where(lower.any(1, keepdim=True), fractions.gather(1, first), 0.0))[:, 0]
+    out = torch.empty_like(fractions[:, 0])
+    launch(steps.downhill, out.shape, fractions, figures, merits, least, MERIT_ROUNDING, ARMIJO_DECREASE, out)
+    return out
 
 
 def ended(
@@ -197,36 +166,12 @@ def ended(
     felt: Forces, xtol: Tensor, radius: Tensor, max_steps: int, symmetric: bool,
 ) -> Iterates:  # fmt: skip
     """After fractions (s,) of steps from now.x to `there` (s, m, 3), where contact is `felt`; see `step`."""
-    x, before, length = now.x, now.contact.offset, now.length
-    if devices.by_kernels(x):
-        from tacgen.tensor_engine import gpu_steps
-
-        x, offset, *rest = gpu_steps.ended(
-            x, there, start, fraction, figures, felt.N, felt.gap, radius, xtol, before, contact.offset, length,
-            now.drift, drift, now.gap, now.steps, max_steps, symmetric,
-        )  # fmt: skip
-        return Iterates(x, contact.shrunk(offset), *rest)
-    going, stuck, longest = now.steps < max_steps, fraction == 0, figures[:, LONGEST_COLUMN]
-    waits = going & stuck & (not symmetric)
-    gone = (there - start).abs().flatten(1).amax(1) > radius
-    there = torch.where(gone[:, None, None], x + _to_radius(x - start, there - x, radius) * (there - x), there)
-    gap = torch.where(felt.total > 0, felt.mean_gap, -1.0)
-    off = torch.where(gap >= 0, gap - contact.offset, 0.0)
-    small = longest <= xtol
-    done = (fraction == 1) & small & (torch.maximum(drift.abs(), off.abs()) <= xtol)
-    stalled = ~done & (fraction * longest < MIN_LINE_SEARCH_FRACTION * xtol)
-    status = torch.where(done | (stalled & small), CONVERGED, torch.where(stalled, STOPPED, RUNNING))
-    status = torch.where(going, torch.where(stuck | gone, UNSTABLE, status), STOPPED)
-    moved = going & ~stuck
-    return Iterates(
-        torch.where(moved[:, None, None], there, x), contact.shrunk(torch.where(waits, before, contact.offset)),
-        now.steps + (going & ~waits), torch.where(moved & ~gone, longest, length),
-        torch.where(waits, now.drift, drift), torch.where(waits, now.gap, gap), torch.where(waits, SEARCHING, status),
+    x, threads = now.x, lanes(now.x)
+    out = [torch.empty_like(like) for like in (x, now.length, now.steps, now.length, drift, now.gap, now.status)]
+    launch(
+        steps.ended, (len(x), threads), *(part.flatten(1) for part in (x, there, start)), fraction, figures,
+        felt.N.flatten(1), felt.gap.flatten(1), radius, xtol, now.contact.offset, contact.offset, now.length, now.drift,
+        drift, now.gap, now.steps, max_steps, symmetric, MIN_LINE_SEARCH_FRACTION, threads, out[0].flatten(1), *out[1:],
     )  # fmt: skip
-
-
-def _to_radius(gone: Tensor, step: Tensor, radius: Tensor) -> Tensor:
-    """Fractions (s, 1, 1) of steps (s, m, 3) at which the first entry reaches the radius."""
-    far = radius[:, None, None] - torch.sign(step) * gone
-    away = torch.where(step != 0, far / step.abs().clamp(min=1e-300), torch.inf)
-    return away.flatten(1).amin(1).clamp(min=0.0)[:, None, None]
+    x, offset, *rest = out
+    return Iterates(x, contact.shrunk(offset), *rest)

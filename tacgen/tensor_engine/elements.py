@@ -36,11 +36,18 @@ def determinant(F: Tensor) -> Tensor:
     return (F[..., 0, :] * torch.linalg.cross(F[..., 1, :], F[..., 2, :])).sum(-1)
 
 
+def ends_of(conn: Tensor, nodes: int) -> Tensor:
+    """For each node (..., n, 4) the facet in conn (..., f, 4) of which it is a certain corner, -1 if none."""
+    out = conn.new_full((*conn.shape[:-2], nodes, 4), -1, dtype=torch.int32)
+    number = torch.arange(conn.shape[-2], dtype=torch.int32, device=conn.device)
+    return out.scatter_(-2, conn.long(), number[:, None].expand(conn.shape))
+
+
 @dataclass(frozen=True)
 class Topology:
     """The numbering that the scenes of a batch share, n nodes: conn (e, 8), also as int32 `cells`; the cells of each
     node, `first` (n + 1,) and `around` (k, 2) as in physics.cells.around; and facets (f, 4) of the face, also as int32
-    `faces`."""
+    `faces`, with `ends` (n, 4): the facet of which a node is a certain corner, -1 if none."""
 
     conn: Tensor
     cells: Tensor
@@ -48,13 +55,14 @@ class Topology:
     around: Tensor
     facets: Tensor
     faces: Tensor
+    ends: Tensor
     nodes: int
 
     @classmethod
     def of(cls, cells: Array, facets: Array, nodes: int, device: str = "cpu") -> "Topology":
         first, pairs = (torch.tensor(part, device=device) for part in around(cells, nodes))
         conn, face = (torch.tensor(part, dtype=torch.long, device=device) for part in (cells, facets))
-        return cls(conn, conn.int(), first, pairs, face, face.int(), nodes)
+        return cls(conn, conn.int(), first, pairs, face, face.int(), ends_of(face, nodes), nodes)
 
     def at_nodes(self, parts: Tensor) -> Tensor:
         """Sums (s, n, 3) of what each cell's corners have, (s, e, 8, 3), in a fixed order, so that results repeat."""

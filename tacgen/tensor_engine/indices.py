@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine import device as devices
+from tacgen.physics import facets
+from tacgen.physics.runtime import launch
 
 _HELD: dict[tuple[int, torch.dtype, torch.device], Tensor] = {}
 
@@ -25,23 +26,29 @@ def index_of(rows: Sequence[int], device: torch.device) -> Tensor:
 
 
 def gathered(slots: Tensor, *parts: Tensor) -> tuple[Tensor, ...]:
-    """Rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous: on a GPU in one launch."""
-    if devices.by_kernels(slots):
-        from tacgen.tensor_engine import gpu_facets
-
-        return gpu_facets.rows(slots, parts)
-    return tuple(part[slots] for part in parts)
+    """Rows at slots (s,) of tensors (capacity, ...), each of whose rows is contiguous, in one launch."""
+    out = tuple(part.new_empty(len(slots), *part.shape[1:]) for part in parts)
+    _move(slots, parts, out, False)
+    return out
 
 
 def put(slots: Tensor, tensors: tuple[Tensor, ...], values: tuple[Tensor, ...], which: Tensor | None = None) -> None:
     """Write values (s, n, ...) to the first n of the rows at slots (s,) of tensors, where they are marked in `which`
     (s,) or everywhere: the reverse of `gathered`."""
-    if devices.by_kernels(slots):
-        from tacgen.tensor_engine import gpu_facets
+    pairs = zip(tensors, values, strict=True)
+    _move(slots, tensors, tuple(value.to(rows.dtype).contiguous() for rows, value in pairs), True, which)
 
-        return gpu_facets.put(slots, tensors, values, which)
-    for rows, value in zip(tensors, values, strict=True):
-        some = (slots,) if value.dim() == 1 else (slots, slice(value.shape[1]))
-        new = value.to(rows.dtype)
-        rows[some] = new if which is None else torch.where(which.view(-1, *[1] * (new.dim() - 1)), new, rows[some])
-    return None
+
+def _move(
+    slots: Tensor, rows: tuple[Tensor, ...], values: tuple[Tensor, ...], into: bool, which: Tensor | None = None
+) -> None:
+    most = int(facets.MAX_MOVED_ARRAYS)
+    for at in range(0, len(rows), most):
+        kept, close = rows[at : at + most], values[at : at + most]
+        widths, sizes = [part.shape[1:].numel() for part in close], [part.element_size() for part in kept]
+        apart = [part.stride(0) * size for part, size in zip(kept, sizes, strict=True)]
+        addresses = [[part.data_ptr() for part in parts] for parts in (kept, close)]
+        table = np.zeros((5, most), np.uint64)
+        table[:, : len(kept)] = *addresses, apart, widths, sizes
+        numbers = map(facets.Numbers.from_buffer_copy, table)
+        launch(facets.moved, (len(slots), max(widths)), slots, which, len(kept), into, *numbers)

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from tacgen.fem.elements import grid_points
 from tacgen.fem.folding_barrier import INVERSION_BARRIER_STIFFNESS
-from tacgen.fem.jacobian import JACOBIAN_TABLES, MAX_SUBDIVISIONS
+from tacgen.fem.jacobian import JACOBIAN_TABLES, MAX_PIECES, MAX_SUBDIVISIONS
 from tacgen.fem.potential import Projection
-from tacgen.physics import elements
+from tacgen.physics import elements, jacobian
 from tacgen.physics.laws import INVERSION_BARRIER_J0
 from tacgen.physics.runtime import launch, room
 from tacgen.tensor_engine.elements import Topology, kernels_of, slot_numbers
@@ -23,15 +23,8 @@ from tacgen.tensor_engine.replay import rare, recording
 from tacgen.tensor_engine.replay import room as recorded_room
 
 INVERSION_POINT_GRADIENTS = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
-HEX_TABLE = JACOBIAN_TABLES[8]
-# coefficients (27,) of the triples (64, 27)
-TRIPLE_COEFFICIENTS = np.eye(len(HEX_TABLE.share))[HEX_TABLE.monomial.ravel()] * HEX_TABLE.share
-PIECE_TRANSFORMS = HEX_TABLE.pieces.reshape(-1, len(HEX_TABLE.share))
-AWAY_FROM_CORNERS = np.where(HEX_TABLE.share == 1, 0.0, np.inf)  # added to the coefficients, leaves those at corners
 # cells of a scene on which a recorded barrier acts at most, first and where more do
 RECORDED_BARRIER_CELLS = 64, 1024
-# pieces of a scene that are divided at once at most, and in a recording
-MAX_DIVIDED_PIECES, RECORDED_DIVIDED_PIECES = 4096, (64, 1024)
 
 
 @dataclass(frozen=True)
@@ -145,36 +138,15 @@ def _determinants(corners: Tensor) -> Tensor:
     return (a * torch.linalg.cross(b, c)).sum(-1)
 
 
-def coefficients(corners: Tensor) -> Tensor:
-    """Bernstein coefficients (..., 27) of the determinant of hexes with corners (..., 8, 3) [mm^3]."""
-    g = torch.einsum("kpa,...aj->...kpj", constant(HEX_TABLE.columns, corners), corners)
-    crossed = torch.linalg.cross(g[..., 0, :, None, :], g[..., 1, None, :, :])
-    triples = (crossed.flatten(-3, -2) @ g[..., 2, :, :].mT).flatten(-2)
-    return triples @ constant(TRIPLE_COEFFICIENTS, corners)
-
-
 def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol: float = 0.01) -> Tensor:
     """Lower bounds (s,) of J at all points of all cells that exist (s, e); see fem.jacobian.least_jacobian."""
-    corners, parts, there = constant(AWAY_FROM_CORNERS, x), constant(PIECE_TRANSFORMS, x).T, exists
-    volume = torch.where(exists, coefficients(X[:, topology.conn]).mean(-1), 1.0)
-    pieces = coefficients(x[:, topology.conn]) / volume[..., None]
-    bound = attained = torch.full_like(x[:, 0, 0], torch.inf)
-    for depth in range(MAX_SUBDIVISIONS + 1):
-        at_corners = (pieces + corners).amin(-1)
-        attained = torch.minimum(attained, torch.where(there, at_corners, torch.inf).amin(1))
-        low = torch.where(there, pieces.amin(-1), torch.inf)
-        open_ = low < attained[:, None] - tol
-        if depth == MAX_SUBDIVISIONS or not (recording() or bool(open_.any())):
-            bound = torch.minimum(bound, low.amin(1))
-            break
-        count = min(recorded_room(*RECORDED_DIVIDED_PIECES) if recording() else MAX_DIVIDED_PIECES, low.shape[1])
-        if recording():
-            rare(open_.sum(1) > count)
-        which = low.topk(count, largest=False).indices
-        there = open_.gather(1, which)
-        left = low.scatter(1, which, torch.where(there, torch.inf, low.gather(1, which)))
-        bound = torch.minimum(bound, left.amin(1))
-        pieces = pieces.gather(1, which[..., None].expand(-1, -1, pieces.shape[2]))
-        pieces = (pieces @ parts).view(len(x), -1, pieces.shape[2])
-        there = there.repeat_interleave(len(HEX_TABLE.pieces), 1)
-    return torch.where(torch.isfinite(x).all(-1).all(-1), bound, -torch.inf)
+    table, shape, conn = JACOBIAN_TABLES[8], exists.shape, topology.cells
+    whole = tuple(constant(part, conn if part.dtype == np.int32 else x) for part in table.whole)
+    volume, low, attained = (x.new_empty(shape) for _ in range(3))
+    X, x, pieces = X.contiguous(), x.contiguous(), constant(table.pieces, x)
+    launch(jacobian.whole_bounds, shape, X, x, conn, exists, *whole, volume, low, attained)
+    launch(
+        jacobian.divided_bounds, shape, x, conn, *whole, pieces, volume, attained.amin(1), tol, MAX_SUBDIVISIONS,
+        MAX_PIECES, low,
+    )  # fmt: skip
+    return low.amin(1)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine import device as devices
+from tacgen.physics import facets, steps
+from tacgen.physics.runtime import lanes, launch
 from tacgen.tensor_engine.dense import MAX_DIRECT_ROWS, half, invert_factor
 from tacgen.tensor_engine.products import Used, slot_times
 from tacgen.tensor_engine.replay import rare
@@ -20,6 +21,7 @@ from tacgen.tensor_engine.replay import rare
 MAX_UNPIVOTED_RESIDUAL = 1e-2
 PADDING_PLACE = -(2**31)  # the place of padding
 ROW_ALIGNMENT = 4  # numbers at whose multiples rows of a system start, for the library's products
+THREADS_PER_ROW = 32  # of a matrix, on a GPU: those of a warp read what is next to each other
 Own = tuple[Tensor, Tensor]  # numbers of rows by slot (capacity,), and slots (s,)
 
 
@@ -43,36 +45,23 @@ class Reduction:
     def solve(self, K: Tensor, b: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """x (s, k) of (S + contact) x = b (s, k), with K (s, a, a) of both on the kept unknowns, and which exist (s,):
         K is not singular or, if symmetric, is positive definite."""
-        to, b, slots = b.dtype, b.to(K.dtype), self.slots
-        lost, used = _picked(b, self.lost), self.used
-        rest = _picked(b, self.kept, slot_times(self.X, slots, lost, True, used))
+        small, slots = b.to(K.dtype), self.slots
+        lost, used = _picked(small, self.lost), self.used
+        rest = _picked(small, self.kept, slot_times(self.X, slots, lost, True, used))
         x, good = solved(K, rest[..., None], symmetric, (used[1], slots))
         x = x.squeeze(-1)
         G = slot_times(self.G, slots, lost, used=(used[0], used[0]))
         X = slot_times(self.X, slots, x, used=used)
-        if devices.by_kernels(b):
-            from tacgen.tensor_engine import gpu_steps
-
-            return gpu_steps.joined(G, X, x, self.place, good, to)
-        a, e = x.shape[1], G.shape[1]
-        row = torch.where(self.place < 0, a - 1 - self.place, self.place).clamp(max=a + e)
-        out = _padded(torch.cat([x, G - X], 1)).gather(1, row)
-        good = good & torch.isfinite(out).all(1)
-        return torch.where(good[:, None], out, 0.0).to(to), good
+        out, exists, step = b.new_empty(self.place.shape), torch.empty_like(good), lanes(b)
+        launch(steps.JOINED[x.element_size()], (len(b), step), G, X, x, self.place, good, step, out, exists)
+        return out, exists
 
 
 def _picked(b: Tensor, at: Tensor, less: Tensor | None = None) -> Tensor:
     """b (s, k) at the unknowns (s, a), 0 where -1, less what is given (s, a)."""
-    if devices.by_kernels(b):
-        from tacgen.tensor_engine import gpu_steps
-
-        return gpu_steps.picked(b, at, less)
-    out = _padded(b).gather(1, at % (b.shape[1] + 1))
-    return out if less is None else out - less
-
-
-def _padded(b: Tensor) -> Tensor:
-    return torch.nn.functional.pad(b, (0, 1))
+    out = b.new_empty(at.shape)
+    launch(steps.PICKED[b.element_size()], at.shape, b, at, less, out)
+    return out
 
 
 def solved(K: Tensor, b: Tensor, symmetric: bool = False, own: Own | None = None) -> tuple[Tensor, Tensor]:
@@ -110,11 +99,12 @@ def solved_by_elimination(
 
 def _exact(b: Tensor, product: Tensor) -> Tensor:
     """Whether right-hand sides b (s, a, 1) and those of solutions are equal enough (s,)."""
-    if devices.by_kernels(b):
-        from tacgen.tensor_engine import gpu_steps
-
-        return gpu_steps.exact(b, product, MAX_UNPIVOTED_RESIDUAL)
-    return (b - product).abs().amax((1, 2)) <= MAX_UNPIVOTED_RESIDUAL * b.abs().amax((1, 2))
+    good, step = torch.empty(len(b), dtype=torch.bool, device=b.device), lanes(b)
+    launch(
+        steps.EXACT[b.element_size()], (len(b), step), b.squeeze(-1), product.squeeze(-1), MAX_UNPIVOTED_RESIDUAL, step,
+        good,
+    )  # fmt: skip
+    return good
 
 
 def eliminate(W: Tensor, n: int, own: Own | None = None, first: int = 0) -> Tensor:
@@ -171,25 +161,14 @@ def numbered(marked: Tensor, most: int) -> Tensor:
 
 
 def with_points(
-    K: Tensor, slots: Tensor, kept: Tensor, place: Tensor, conn: Tensor, ends: Tensor | None, N: Tensor, D: Tensor
+    K: Tensor, slots: Tensor, kept: Tensor, place: Tensor, conn: Tensor, ends: Tensor, N: Tensor, D: Tensor
 ) -> Tensor:
     """Rows at slots (s,) of K (capacity, a, a) plus stiffnesses D (s, f, q, 3, 3) at the points N (q, 4) of facets conn
     (s, f, 4); kept (s, a) and place (s, k): the unknown 3 node + direction of each row of K, -1 if none, and the row of
-    each unknown, negative where D does not act; ends: see contact.Contacts.
-
-    Corner by corner: on a grid a node is a certain corner of one facet only, so the order of summation never changes.
-    """
-    if ends is not None:
-        from tacgen.tensor_engine import gpu_facets
-
-        return gpu_facets.with_points(K, slots, kept, place, conn, ends, N, D)
-    (s, a), N, D = kept.shape, N.to(K.dtype), D.to(K.dtype)
-    pairs = (N[:, :, None] * N[:, None, :]).flatten(1).T
-    blocks = (pairs @ D.flatten(-2)).view(s, -1, 4, 4, 3, 3)
-    unknowns = (3 * conn[..., None] + torch.arange(3, device=K.device)).flatten(1)
-    at = torch.where(place < 0, a, place).gather(1, unknowns).view(s, -1, 4, 3).transpose(1, 2)
-    index = at[:, :, :, None, :, None] * (a + 1) + at.transpose(1, 2)[:, None, :, :, None, :]
-    out = torch.nn.functional.pad(K[slots], (0, 1, 0, 1)).flatten(1)
-    for corner in range(4):
-        out.scatter_add_(1, index[:, corner].flatten(1), blocks[:, :, corner].flatten(1))
-    return out.view(s, a + 1, a + 1)[:, :a, :a]
+    each unknown, negative where D does not act; ends: see contact.Contacts."""
+    out, step = K.new_empty(*kept.shape, kept.shape[1]), lanes(K, THREADS_PER_ROW)
+    launch(
+        facets.WITH_POINTS[K.element_size()], (*kept.shape, step), K, slots, kept, place, conn, ends, N, D.flatten(-2),
+        step, out,
+    )  # fmt: skip
+    return out

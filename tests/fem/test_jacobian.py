@@ -156,9 +156,7 @@ def test_a_tet_that_folds_between_its_nodes_is_reported():
     assert scanned(TET, SWOLLEN, QUADRATIC) - 0.01 <= least_jacobian(TET, SWOLLEN, QUADRATIC) < -0.02
 
 
-@pytest.mark.parametrize(
-    ("limit", "value"), [("MAX_SUBDIVISIONS", 0), ("MAX_SUBDIVISIONS", 1), ("MAX_SUBDIVIDED_PIECES", 0)]
-)
+@pytest.mark.parametrize(("limit", "value"), [("MAX_SUBDIVISIONS", 0), ("MAX_SUBDIVISIONS", 1), ("MAX_PIECES", 0)])
 def test_it_is_still_a_bound_when_the_subdivision_is_cut_short(limit: str, value: int, monkeypatch: pytest.MonkeyPatch):
     for rest, points, cells in [(CUBE, np.array(FOLDED[1]) / 10, HEX), (TET, SWOLLEN, QUADRATIC)]:
         full = least_jacobian(rest, points, cells, 1e-4)

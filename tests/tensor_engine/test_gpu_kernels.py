@@ -21,10 +21,8 @@ from tacgen.tensor_engine import (
     condensed,
     dense,
     gpu_blocks,
-    gpu_facets,
     gpu_fronts,
     gpu_substitution,
-    indices,
     multifrontal,
     products,
 )
@@ -64,25 +62,6 @@ def test_inverse_factors_by_blocks(size: int) -> None:
     assert gpu_blocks.lower_inverse(block).tolist() == [0, 0, 0]
     assert close(block, torch.linalg.inv(torch.linalg.cholesky(A)), 2e-6)
     assert float(around[:, :2].abs().sum() + around[:, :, 0].abs().sum()) == 0.0
-
-
-@pytest.mark.parametrize("which", [None, [True, False, True], [False] * 3])
-def test_rows_are_written_where_they_are_marked(which: list[bool] | None) -> None:
-    """The first of each row's numbers, of several types."""
-    r, slots = np.random.default_rng(2), torch.tensor([4, 1, 3])
-    kept = [torch.tensor(r.normal(size=(6, *shape))) for shape in ((50, 3), (), (2,))]
-    kept.append(torch.tensor(r.integers(0, 9, size=6)))
-    values = [torch.tensor(r.normal(size=(3, *shape))) for shape in ((44, 3), (), (2,))]
-    values.append(torch.tensor([11, 12, 13]))
-    marked = None if which is None else torch.tensor(which)
-    wanted = [each.clone() for each in kept]
-    indices.put(slots, tuple(wanted), tuple(values), marked)
-    assert (wanted[0][4, :44] == values[0][0]).all() == (which is None or which[0])
-    found = [each.to(DEVICE) for each in kept]
-    theirs = tuple(each.to(DEVICE) for each in values)
-    gpu_facets.put(slots.to(DEVICE), tuple(found), theirs, None if marked is None else marked.to(DEVICE))
-    for one, other in zip(found, wanted, strict=True):
-        assert one.cpu().equal(other)
 
 
 @pytest.mark.parametrize(("size", "columns"), [(3, 1), (32, 33), (41, 1), (64, 70), (150, 2)])

@@ -7,6 +7,7 @@ from helpers.needs import needs
 torch = needs("torch")
 
 
+from tacgen.tensor_engine.elements import ends_of
 from tacgen.tensor_engine.reduction import eliminate, reduced, solved_by_elimination, with_points
 
 Array = np.ndarray
@@ -39,12 +40,14 @@ def test_contact_on_the_reduced_system_has_the_answer_of_the_whole(a: int, e: in
     part, definite = reduced(S, active, exist(), a, e)
     assert definite.all()
     assert part.G.shape == (3, e, e)
-    K = with_points(part.K, part.slots, part.kept, part.place, conn, None, N, D)
+    there = D.flatten(2).abs().amax(2, keepdim=True) > 0
+    facets = conn.int(), ends_of(torch.where(there, conn, WIDTH // 3), WIDTH // 3 + 1), N, D
+    K = with_points(part.K, part.slots, part.kept, part.place, *facets)
     b = torch.tensor(np.random.default_rng(0).normal(size=(3, WIDTH)))
     x, good = part.solve(K, b, False)
     assert good.all()
     everywhere = torch.arange(WIDTH).expand(3, -1)
-    whole = with_points(S, part.slots, everywhere, everywhere, conn, None, N, D)
+    whole = with_points(S, part.slots, everywhere, everywhere, *facets)
     assert (whole - whole.mT).abs().max() > 0.1
     wanted = torch.linalg.solve(whole, b[..., None]).squeeze(-1)
     assert torch.where(exist(), wanted, 0.0).numpy() == pytest.approx(x.numpy(), abs=1e-10)

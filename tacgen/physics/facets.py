@@ -1,0 +1,209 @@
+"""Rows of many scenes in slots, the facets of scenes in their own numbers of nodes, and sums over the facets of a node.
+
+As Warp kernels of batches. slots (s,) are the rows of the scenes of a call in arrays (capacity, ...). `ends` (s, n, 4):
+the facet of which a node is a certain corner, -1 if none; on a grid there is one at most, so that sums repeat.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from tacgen.physics.laws import real
+
+MAX_MOVED_ARRAYS = wp.constant(12)  # in one launch
+Numbers = wp.types.vector(length=MAX_MOVED_ARRAYS, dtype=wp.uint64)  # of each array
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def moved(
+    slots: wp.array(dtype=wp.int64),
+    which: wp.array(dtype=wp.bool),
+    count: int,
+    into: bool,
+    rows: Numbers,
+    values: Numbers,
+    apart: Numbers,
+    widths: Numbers,
+    sizes: Numbers,
+):
+    """Copy the rows at slots to values or, `into` them, the values where they are marked in `which` (s,) or everywhere.
+
+    rows, values: the addresses of `count` arrays; of each, `apart`: bytes from one row to the next, and how many
+    numbers a row of values has, and of how many bytes each.
+    """
+    s, k = wp.tid()
+    if which.shape[0] > 0 and not which[s]:
+        return
+    for i in range(count):
+        width = int(widths[i])
+        if k < width:
+            here, size = rows[i] + wp.uint64(slots[s]) * apart[i], sizes[i]
+            there = values[i] + wp.uint64(s) * widths[i] * size
+            if into:
+                copied(there, here, k, width, int(size))
+            else:
+                copied(here, there, k, width, int(size))
+
+
+@wp.func
+def copied(source: wp.uint64, target: wp.uint64, k: int, width: int, size: int):
+    """Copy number k of a row."""
+    if size == 8:
+        long = wp.array(ptr=target, shape=(width,), dtype=wp.int64)
+        long[k] = wp.array(ptr=source, shape=(width,), dtype=wp.int64)[k]
+    elif size == 4:
+        short = wp.array(ptr=target, shape=(width,), dtype=wp.int32)
+        short[k] = wp.array(ptr=source, shape=(width,), dtype=wp.int32)[k]
+    else:
+        byte = wp.array(ptr=target, shape=(width,), dtype=wp.int8)
+        byte[k] = wp.array(ptr=source, shape=(width,), dtype=wp.int8)[k]
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def near(
+    slots: wp.array(dtype=wp.int64),
+    faces: wp.array2d(dtype=wp.int64),
+    local: wp.array2d(dtype=wp.int64),
+    facets: wp.array2d(dtype=wp.int64),
+    areas: wp.array3d(dtype=real),
+    anchor: wp.array3d(dtype=wp.vec3d),
+    conn: wp.array3d(dtype=wp.int32),
+    area: wp.array3d(dtype=real),
+    anchors: wp.array3d(dtype=wp.vec3d),
+    ends: wp.array3d(dtype=wp.int32),
+):
+    """For the facets that are numbered in faces (capacity, m), -1 where there is none: conn (s, f, 4) in the numbers
+    local (capacity, n) of the nodes of facets (F, 4); areas (s, f, q) of those (capacity, F, q), 0 where there is none;
+    anchors (s, f, q); and `ends`, which is -1 before."""
+    s, f, k = wp.tid()
+    slot = slots[s]
+    facet = faces[slot, f]
+    if k < 4:
+        node = wp.int64(0)
+        if facet >= wp.int64(0):
+            node = local[slot, facets[facet, k]]
+            ends[s, node, k] = f
+        conn[s, f, k] = wp.int32(node)
+    if k < areas.shape[2]:
+        size, at = real(0.0), wp.vec3d()
+        if facet >= wp.int64(0):
+            size = areas[slot, facet, k]
+            at = anchor[slot, facet, k]
+        area[s, f, k] = size
+        anchors[s, f, k] = at
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def at_condensed(
+    slots: wp.array(dtype=wp.int64),
+    x: wp.array2d(dtype=wp.vec3d),
+    numbers: wp.array2d(dtype=wp.int64),
+    out: wp.array2d(dtype=wp.vec3d),
+):
+    """Rows (s, m) of x (capacity, n) at the first nodes in numbers (capacity, m), 0 where these are -1."""
+    s, m = wp.tid()
+    slot, value = slots[s], wp.vec3d()
+    if numbers[slot, m] >= wp.int64(0):
+        value = x[slot, numbers[slot, m]]
+    out[s, m] = value
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def at_nodes(
+    ends: wp.array3d(dtype=wp.int32),
+    N: wp.array2d(dtype=real),
+    forces: wp.array3d(dtype=wp.vec3d),
+    out: wp.array2d(dtype=wp.vec3d),
+):
+    """Sums (s, n) of forces (s, f, q) at points with shape functions N (q, 4)."""
+    s, n = wp.tid()
+    total = wp.vec3d()
+    for corner in range(4):
+        facet = ends[s, n, corner]
+        if facet >= 0:
+            for q in range(N.shape[0]):
+                total += N[q, corner] * forces[s, facet, q]
+    out[s, n] = total
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def acted(
+    slots: wp.array(dtype=wp.int64),
+    ends: wp.array3d(dtype=wp.int32),
+    N: wp.array3d(dtype=real),
+    active: wp.array2d(dtype=wp.bool),
+    kept: wp.array(dtype=real),
+    wanted: wp.array2d(dtype=wp.bool),
+    step: int,
+    stale: wp.array(dtype=wp.bool),
+    count: wp.array(dtype=wp.int64),
+):
+    """See tensor_engine.condensation.acted; `step` threads a scene."""
+    s, lane = wp.tid()
+    slot, reduced = slots[s], kept[s] > real(0.0)
+    found, more = int(0), int(0)
+    k = int(lane)
+    while k < wanted.shape[1]:
+        new, old = bool(False), bool(False)
+        if k < 3 * ends.shape[1]:
+            for corner in range(4):
+                facet = ends[s, k / 3, corner]
+                if facet >= 0:
+                    for q in range(N.shape[2]):
+                        new = new or N[s, facet, q] > real(0.0)
+            old = active[slot, k]
+        if new and not old:
+            more = 1
+        wants = new or (old and reduced)
+        if wants:
+            found += 1
+        wanted[slot, k] = wants
+        k += step
+    total = wp.tile_extract(wp.tile_sum(wp.tile(found)), 0)
+    grown = wp.tile_extract(wp.tile_max(wp.tile(more)), 0)
+    if lane == 0:
+        stale[s] = grown > 0 or not reduced
+        count[s] = wp.int64(total)
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def with_points(
+    K: wp.array3d(dtype=Any),
+    slots: wp.array(dtype=wp.int64),
+    kept: wp.array2d(dtype=wp.int64),
+    place: wp.array2d(dtype=wp.int64),
+    conn: wp.array3d(dtype=wp.int32),
+    ends: wp.array3d(dtype=wp.int32),
+    N: wp.array2d(dtype=real),
+    D: wp.array4d(dtype=real),
+    step: int,
+    out: wp.array3d(dtype=Any),
+):
+    """See tensor_engine.reduction.with_points; D (s, f, q, 9). `step` threads a row, each of some columns."""
+    s, r, lane = wp.tid()
+    slot = slots[s]
+    j = int(lane)
+    while j < out.shape[2]:
+        out[s, r, j] = K[slot, r, j]
+        j += step
+    own = int(kept[s, r])
+    if own < 0:
+        return
+    for corner in range(4):
+        facet = ends[s, own / 3, corner]
+        if facet >= 0:
+            for other in range(4):
+                for i in range(3):
+                    column = int(place[s, 3 * conn[s, facet, other] + i])
+                    if column >= 0 and column % step == lane:
+                        total = real(0.0)
+                        for q in range(N.shape[0]):
+                            total += N[q, corner] * N[q, other] * D[s, facet, q, 3 * (own % 3) + i]
+                        out[s, r, column] = out[s, r, column] + out.dtype(total)
+
+
+def _in_precision(r: Any) -> wp.Kernel:
+    return wp.overload(with_points, {"K": wp.array3d(dtype=r), "out": wp.array3d(dtype=r)})
+
+
+WITH_POINTS = {4: _in_precision(wp.float32), 8: _in_precision(wp.float64)}  # by the bytes of a number of K

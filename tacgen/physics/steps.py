@@ -1,0 +1,301 @@
+"""Decisions of a step of the contact, scene by scene, as Warp kernels of batches.
+
+Where there is a `step`, so many threads do one scene, and add what each has found: a block of threads on a GPU, one on
+a core. Arrays have the scene first; nodes' vectors are rows (s, 3n).
+"""
+
+from typing import Any
+
+import warp as wp
+
+from tacgen.physics.laws import real
+
+SMALLEST = wp.constant(real(1e-300))  # so that nothing is divided by 0
+RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (wp.constant(k) for k in range(5))  # how a scene stands
+
+
+@wp.func
+def summed(part: real) -> real:
+    """The sum over the threads of a scene, in a fixed order."""
+    return wp.tile_extract(wp.tile_sum(wp.tile(part)), 0)
+
+
+@wp.func
+def largest(part: real) -> real:
+    return wp.tile_extract(wp.tile_max(wp.tile(part)), 0)
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def shrunk(
+    length: wp.array(dtype=real),
+    dhat: wp.array(dtype=real),
+    gap: wp.array(dtype=real),
+    offset: wp.array(dtype=real),
+    drift: wp.array(dtype=real),
+    offsets: wp.array(dtype=real),
+    off: wp.array(dtype=real),
+):
+    """Offsets (s,) of indenters shrunk by the mean gap, and by how much it was off; far from the solution, where it is
+    meaningless, they stay."""
+    s = wp.tid()
+    near = length[s] <= dhat[s] and gap[s] >= real(0.0)
+    offsets[s] = wp.where(near, gap[s], offset[s])
+    off[s] = wp.where(near, gap[s] - offset[s], drift[s])
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def picked(
+    b: wp.array2d(dtype=Any), at: wp.array2d(dtype=wp.int64), less: wp.array2d(dtype=Any), out: wp.array2d(dtype=Any)
+):
+    """b (s, k) at the unknowns (s, a), 0 where -1, less what is given (s, a), if it has rows."""
+    s, k = wp.tid()
+    value = b.dtype(0.0)
+    if at[s, k] >= wp.int64(0):
+        value = b[s, int(at[s, k])] + b.dtype(0.0)
+    if less.shape[0] > 0:
+        value = value - less[s, k]
+    out[s, k] = value
+
+
+@wp.func
+def placed(G: wp.array2d(dtype=Any), X: wp.array2d(dtype=Any), some: wp.array2d(dtype=Any), s: int, place: int) -> real:
+    """The solution at an unknown of this place."""
+    if place >= 0:
+        return real(some[s, place])
+    if -1 - place < G.shape[1]:
+        return real(G[s, -1 - place] - X[s, -1 - place])
+    return real(0.0)
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def joined(
+    G: wp.array2d(dtype=Any),
+    X: wp.array2d(dtype=Any),
+    some: wp.array2d(dtype=Any),
+    place: wp.array2d(dtype=wp.int64),
+    good: wp.array(dtype=wp.bool),
+    step: int,
+    out: wp.array2d(dtype=real),
+    exists: wp.array(dtype=wp.bool),
+):
+    """At each unknown with its place (s, k) of `some` (s, a), or what of G - X (s, e) belongs to it, see
+    tensor_engine.reduction.Reduction; 0 where not good (s,) or not finite, and which are good."""
+    s, lane = wp.tid()
+    bad = real(0.0)
+    k = int(lane)
+    while k < out.shape[1]:
+        if not wp.isfinite(placed(G, X, some, s, int(place[s, k]))):
+            bad = real(1.0)
+        k += step
+    fine = largest(bad) == real(0.0) and good[s]
+    if lane == 0:
+        exists[s] = fine
+    k = int(lane)
+    while k < out.shape[1]:
+        value = real(0.0)
+        if fine:
+            value = placed(G, X, some, s, int(place[s, k]))
+        out[s, k] = value
+        k += step
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def exact(
+    b: wp.array2d(dtype=Any), product: wp.array2d(dtype=Any), limit: real, step: int, good: wp.array(dtype=wp.bool)
+):
+    """Whether b (s, a) and a product differ by at most `limit` times the largest of b (s,)."""
+    s, lane = wp.tid()
+    most, off = real(0.0), real(0.0)
+    k = int(lane)
+    while k < b.shape[1]:
+        less = wp.abs(real(b[s, k]) - real(product[s, k]))
+        most = wp.max(most, wp.abs(real(b[s, k])))
+        if not wp.isfinite(less):  # nor is it small if it is no number
+            less = real(wp.inf)
+        off = wp.max(off, less)
+        k += step
+    most, off = largest(most), largest(off)
+    if lane == 0:
+        good[s] = off <= limit * most and off < real(wp.inf)
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def tried(
+    x: wp.array2d(dtype=real),
+    start: wp.array2d(dtype=real),
+    load: wp.array2d(dtype=real),
+    gradient: wp.array2d(dtype=real),
+    g: wp.array2d(dtype=real),
+    p: wp.array2d(dtype=real),
+    bent: wp.array2d(dtype=real),
+    whole: wp.array2d(dtype=real),
+    exists: wp.array(dtype=wp.bool),
+    conn: wp.array3d(dtype=wp.int32),
+    N: wp.array2d(dtype=real),
+    gap: wp.array3d(dtype=real),
+    reach: wp.array(dtype=real),
+    halves: wp.array(dtype=real),
+    ratio: real,
+    step: int,
+    fractions: wp.array2d(dtype=real),
+    figures: wp.array2d(dtype=real),
+):
+    """See tensor_engine.contact_newton.tried; `whole` without rows: it does not matter. ratio: the largest of residuals
+    after and before a full step."""
+    s, lane = wp.tid()
+    energy, linear, square, slope = real(0.0), real(0.0), real(0.0), real(0.0)
+    longest, before, after, first = real(0.0), real(0.0), real(0.0), real(1.0)
+    k = int(lane)
+    while k < x.shape[1]:
+        energy += (x[s, k] - start[s, k]) * (gradient[s, k] + load[s, k])
+        linear += gradient[s, k] * p[s, k]
+        square += p[s, k] * bent[s, k]
+        slope += g[s, k] * p[s, k]
+        longest = wp.max(longest, wp.abs(p[s, k]))
+        if whole.shape[0] > 0:
+            before += g[s, k] * g[s, k]
+            after += whole[s, k] * whole[s, k]
+        k += step
+    k = int(lane)
+    while k < gap.shape[1] * gap.shape[2]:
+        f, q = k / gap.shape[2], k % gap.shape[2]
+        way = wp.vec3d()
+        for a in range(conn.shape[2]):
+            node = 3 * conn[s, f, a]
+            way += N[q, a] * wp.vec3d(p[s, node], p[s, node + 1], p[s, node + 2])
+        allowed = wp.max(gap[s, f, q], real(0.0)) + reach[s] / real(2.0)
+        first = wp.min(first, allowed / wp.max(wp.length(way), SMALLEST))
+        k += step
+    energy, linear, square, slope = summed(energy), summed(linear), summed(square), summed(slope)
+    longest, before, after, first = largest(longest), summed(before), summed(after), -largest(-first)
+    full = exists[s] and first >= real(1.0) and whole.shape[0] > 0 and wp.sqrt(after) <= ratio * wp.sqrt(before)
+    if lane == 0:
+        figures[s, 0] = energy / real(2.0)
+        figures[s, 1] = linear
+        figures[s, 2] = square
+        figures[s, 3] = wp.where(exists[s], slope, real(wp.inf))
+        figures[s, 4] = longest
+        figures[s, 5] = wp.where(full, real(1.0), real(0.0))
+        for j in range(halves.shape[0]):
+            fractions[s, j] = first * halves[j]
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def downhill(
+    fractions: wp.array2d(dtype=real),
+    figures: wp.array2d(dtype=real),
+    merits: wp.array2d(dtype=real),
+    least: real,
+    rounding: real,
+    decrease: real,
+    out: wp.array(dtype=real),
+):
+    """See tensor_engine.contact_newton.downhill; rounding: error of a merit over its size; decrease: Armijo's."""
+    s = wp.tid()
+    linear, square, slope = figures[s, 1], figures[s, 2], figures[s, 3]
+    here, found = figures[s, 0] + merits[s, 0], real(0.0)  # the first fraction is 0
+    for j in range(fractions.shape[1]):
+        fraction = fractions[s, j]
+        merit = figures[s, 0] + fraction * linear + fraction * fraction * square / real(2.0) + merits[s, j]
+        most = here + rounding * wp.abs(here) + decrease * fraction * wp.min(slope, real(0.0))
+        if found == real(0.0) and slope <= real(0.0) and fraction >= least and merit <= most:
+            found = fraction
+    out[s] = wp.where(figures[s, 5] > real(0.0), real(1.0), found)
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def ended(
+    x: wp.array2d(dtype=real),
+    there: wp.array2d(dtype=real),
+    start: wp.array2d(dtype=real),
+    fraction: wp.array(dtype=real),
+    figures: wp.array2d(dtype=real),
+    N: wp.array2d(dtype=real),
+    gaps: wp.array2d(dtype=real),
+    radius: wp.array(dtype=real),
+    xtol: wp.array(dtype=real),
+    before: wp.array(dtype=real),
+    offset: wp.array(dtype=real),
+    length: wp.array(dtype=real),
+    old_drift: wp.array(dtype=real),
+    drift: wp.array(dtype=real),
+    old_gap: wp.array(dtype=real),
+    steps: wp.array(dtype=wp.int64),
+    most: int,
+    symmetric: bool,
+    least: real,
+    step: int,
+    out: wp.array2d(dtype=real),
+    offsets: wp.array(dtype=real),
+    counted: wp.array(dtype=wp.int64),
+    lengths: wp.array(dtype=real),
+    drifts: wp.array(dtype=real),
+    mean: wp.array(dtype=real),
+    status: wp.array(dtype=wp.int64),
+):
+    """See tensor_engine.contact_newton.ended; least: the smallest fraction of a step."""
+    s, lane = wp.tid()
+    force, weighted, farthest, part = real(0.0), real(0.0), real(0.0), real(wp.inf)
+    k = int(lane)
+    while k < N.shape[1]:
+        force += N[s, k]
+        weighted += N[s, k] * gaps[s, k]
+        k += step
+    k = int(lane)
+    while k < x.shape[1]:
+        away, way = x[s, k] - start[s, k], there[s, k] - x[s, k]
+        farthest = wp.max(farthest, wp.abs(there[s, k] - start[s, k]))
+        if way != real(0.0):  # to where the first entry reaches the radius
+            part = wp.min(part, (radius[s] - wp.sign(way) * away) / wp.max(wp.abs(way), SMALLEST))
+        k += step
+    force, weighted, farthest, part = summed(force), summed(weighted), largest(farthest), -largest(-part)
+    gone = farthest > radius[s]
+    part = wp.where(part < real(wp.inf), wp.max(part, real(0.0)), real(0.0))  # nothing moves
+    longest, going, stuck = figures[s, 4], steps[s] < wp.int64(most), fraction[s] == real(0.0)
+    waits, small = going and stuck and not symmetric, longest <= xtol[s]
+    gap, off = -real(1.0), real(0.0)
+    if force > real(0.0):
+        gap = weighted / wp.max(force, SMALLEST)
+    if gap >= real(0.0):
+        off = wp.abs(gap - offset[s])
+    done = fraction[s] == real(1.0) and small and wp.max(wp.abs(drift[s]), off) <= xtol[s]
+    stalled = not done and fraction[s] * longest < least * xtol[s]
+    how = int(RUNNING)
+    if done or (stalled and small):
+        how = CONVERGED
+    elif stalled:
+        how = STOPPED
+    if stuck or gone:
+        how = UNSTABLE
+    if not going:
+        how = STOPPED
+    if waits:
+        how = SEARCHING
+    moves = going and not stuck
+    if lane == 0:
+        offsets[s] = wp.where(waits, before[s], offset[s])
+        counted[s] = wp.where(going and not waits, steps[s] + wp.int64(1), steps[s] + wp.int64(0))
+        lengths[s] = wp.where(moves and not gone, longest, length[s])
+        drifts[s] = wp.where(waits, old_drift[s], drift[s])
+        mean[s] = wp.where(waits, old_gap[s], gap)
+        status[s] = wp.int64(how)
+    k = int(lane)
+    while k < x.shape[1]:
+        value = x[s, k] + real(0.0)
+        if moves:
+            value = wp.where(gone, x[s, k] + part * (there[s, k] - x[s, k]), there[s, k])
+        out[s, k] = value
+        k += step
+
+
+def _in_precisions(kernel: wp.Kernel, names: tuple[str, ...]) -> dict[int, wp.Kernel]:
+    """A kernel by the bytes of a number of some of its arguments."""
+    return {
+        size: wp.overload(kernel, dict.fromkeys(names, wp.array2d(dtype=r)))
+        for size, r in ((4, wp.float32), (8, wp.float64))
+    }
+
+
+PICKED = _in_precisions(picked, ("b", "less", "out"))
+JOINED = _in_precisions(joined, ("G", "X", "some"))
+EXACT = _in_precisions(exact, ("b", "product"))
