@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.base.compiled import njit
 from tacgen.geometry.rasterize import blend
 from tacgen.optics import coating, strip_light
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Surface
+from tacgen.physics import coat
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,13 +87,14 @@ class CameraView:
         """Radiance (H, W, 3) of the coating with its markers, from that without them, `bare` (samples, 3), which is
         overwritten."""
         if self.markers is not None:
-            _dim(bare, at.paint, self.change)
+            call(coat.dim, (len(bare),), bare, at.paint.reshape(-1), self.change[None], None)
         return self.picture(bare)
 
     def add_even(self, made: "Floats", at: Samples, light: "Floats") -> None:
         """Add to a picture `made` (H, W, 3), in place, the coating in light under which it would have the radiance
         `light` (3,) everywhere without markers."""
-        _add_even(made, light, self.picture(at.paint), self.change)
+        share = self.picture(at.paint).reshape(-1)
+        call(coat.dim, share.shape, made.reshape(-1, 3), share, self.change[None], light[None])
 
     @property
     def change(self) -> "Floats":
@@ -114,20 +116,3 @@ class CameraView:
         if n == 1:
             return samples.reshape(h, w, -1)
         return np.asarray(samples.reshape(h, n, w, n, -1).mean(axis=(1, 3)))
-
-
-@njit(cache=True)
-def _dim(bare: "Floats", paint: "Floats", change: "Floats") -> None:
-    """Multiply light (samples, 3) by 1 + its share of paint (samples, 1) x `change` (3,)."""
-    for i in range(len(bare)):
-        for c in range(3):
-            bare[i, c] *= 1.0 + paint[i, 0] * change[c]
-
-
-@njit(cache=True)
-def _add_even(made: "Floats", light: "Floats", paint: "Floats", change: "Floats") -> None:
-    """Add `light` (3,), changed like that by paint (H, W, 1), to a picture (H, W, 3)."""
-    for y in range(len(made)):
-        for x in range(made.shape[1]):
-            for c in range(3):
-                made[y, x, c] += light[c] * (1.0 + paint[y, x, 0] * change[c])

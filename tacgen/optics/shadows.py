@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.base.compiled import njit
+from tacgen.physics import shadows
+from tacgen.physics.runtime import call
+from tacgen.physics.shadows import LARGE_BLOCK_CELLS, SMALL_BLOCK_CELLS
 
 Floats = NDArray[np.float64]
 # flags of LLVM's fast math with which sums in loops are vectorised
 FAST_SUM_FLAGS = {"contract", "nsz", "arcp", "reassoc"}
-SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS = 8, 32  # cells along the side of a block
+BLOCK_SIZES = SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS
 # unsigned: indices need no check of their sign
 ONE_UINT, BLOCK_SIZES_UINT = np.uint32(1), (np.uint32(SMALL_BLOCK_CELLS), np.uint32(LARGE_BLOCK_CELLS))
-MIN_SHADOWING_FALL_MM = 0.02  # smallest fall of a place since untouched with which it casts a shadow [mm]
 
 
 class Terrain(NamedTuple):
@@ -35,37 +37,14 @@ class Terrain(NamedTuple):
     @classmethod
     def of(cls, heights: Floats, size: tuple[float, float], before: Floats | None = None) -> "Terrain":
         """The terrain of a face; with its heights `before`, only places that have receded since then cast shadows."""
-        blocked = heights if before is None else np.where(heights < before - MIN_SHADOWING_FALL_MM, heights, np.inf)
-        small, large = (lowest(blocked, cells) for cells in (SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS))
-        return cls(heights, small, large, size, float(large.min()), bounds(small))
-
-
-def bounds(small: Floats) -> tuple[float, float, float, float]:
-    """Terrain.box by its `small`: least and greatest column, least and greatest row; infinite at the grid's edges."""
-    box, there = [], np.isfinite(small)
-    for along in (0, 1):
-        blocks, count = np.flatnonzero(there.any(axis=along)), there.shape[1 - along]
-        first, last = (int(blocks[0]), int(blocks[-1]) + 1) if len(blocks) else (count, 0)
-        box += [
-            float(SMALL_BLOCK_CELLS * first) if first else -np.inf,
-            float(SMALL_BLOCK_CELLS * last) if last < count else np.inf,
-        ]
-    return box[0], box[1], box[2], box[3]
-
-
-@njit(cache=True)
-def lowest(heights: Floats, cells: int) -> Floats:
-    """Least height of each block of `cells` x `cells` cells of a grid (h, w), rims included; the last is smaller."""
-    h, w = heights.shape
-    out = np.empty((-(-(h - 1) // cells), -(-(w - 1) // cells)))
-    for j in range(out.shape[0]):
-        for i in range(out.shape[1]):
-            least = np.inf
-            for y in range(j * cells, min((j + 1) * cells + 1, h)):
-                for x in range(i * cells, min((i + 1) * cells + 1, w)):
-                    least = min(least, heights[y, x])
-            out[j, i] = least
-    return out
+        small, large = (np.empty((1, *(-(-(n - 1) // cells) for n in heights.shape))) for cells in BLOCK_SIZES)
+        extent, before = np.empty((1, 5)), None if before is None else before.reshape(-1)
+        call(shadows.lowest, small.shape, heights.reshape(-1), before, *heights.shape, BLOCK_SIZES[0], 1, small)
+        ratio = BLOCK_SIZES[1] // BLOCK_SIZES[0]
+        call(shadows.lowest, large.shape, small.reshape(-1), None, *small.shape[1:], ratio, 0, large)
+        call(shadows.extents, (1,), small, extent)
+        least, left, right, top, bottom = extent[0].tolist()
+        return cls(heights, small[0], large[0], size, least, (left, right, top, bottom))
 
 
 @njit(cache=False, error_model="numpy", fastmath=FAST_SUM_FLAGS, inline="always")

@@ -52,3 +52,23 @@ def put(data: wp.array(dtype=wp.int32), i: int, value: wp.int32): ...  # noqa: F
 
 @wp.func_native(WRITE)
 def put(data: wp.array(dtype=wp.vec2d), i: int, value: wp.vec2d): ...  # noqa: F811
+
+
+@wp.func_native(READ)
+def get(data: wp.array(dtype=wp.uint8), i: int) -> wp.uint8: ...  # noqa: F811
+
+
+@wp.func_native(READ)
+def get(data: wp.array(dtype=wp.uint16), i: int) -> wp.uint16: ...  # noqa: F811
+
+
+@wp.func_native(READ)
+def get(data: wp.array(dtype=wp.vec3), i: int) -> wp.vec3: ...  # noqa: F811
+
+
+@wp.func_native(WRITE)
+def put(data: wp.array(dtype=wp.uint8), i: int, value: wp.uint8): ...  # noqa: F811
+
+
+@wp.func_native(WRITE)
+def put(data: wp.array(dtype=wp.vec3d), i: int, value: wp.vec3d): ...  # noqa: F811
