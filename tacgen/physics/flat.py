@@ -7,6 +7,13 @@ import warp as wp
 
 from tacgen.physics.laws import real
 
+
+@wp.func
+def is_nan(x: real) -> bool:
+    """`wp.isnan`, which a core calls as a function of C."""
+    return x != x
+
+
 READ, WRITE = "return data.data[i];", "data.data[i] = value;"
 
 
