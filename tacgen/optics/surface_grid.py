@@ -138,5 +138,5 @@ class Sheet:
     def _spans(self, now: "Floats", unit: bool) -> "Floats":
         columns, rows = map(len, self.lines)
         out = np.empty((len(now), 3))
-        call(faces.spans, (1, rows), now, rows, columns, unit, out)
+        call(faces.spans, (1, rows, 1), now, rows, columns, 1, unit, out)
         return out

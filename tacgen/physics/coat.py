@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from tacgen.physics.flat import get, put
+from tacgen.physics.flat import get, is_nan, put
 from tacgen.physics.laws import real
 
 NORMAL_TERMS = 5  # terms of the glow's polynomial in the change of the normal: 1, x, y, x^2, y^2
@@ -113,7 +113,7 @@ def pattern(
     k = wp.tid()
     here = get(xy, k)
     x, y = here[0], here[1]
-    if wp.isnan(x) or wp.isnan(y):
+    if is_nan(x) or is_nan(y):
         put(out, k, real(1.0))
     else:
         put(out, k, pattern_at(field, rows, columns, across, down, x, y))
@@ -131,7 +131,7 @@ def glow(
     k = wp.tid()
     i = int(get(index, k))
     normal = get(normals, i)
-    if wp.isnan(normal[2]):
+    if is_nan(normal[2]):
         put(out, k, wp.vec3d())
     else:
         put(out, k, glow_at(terms[i], get(untouched, i), normal))

@@ -130,14 +130,16 @@ projected, projected_singly = _projected(POINTS_PER_THREAD), _projected(1)  # fo
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def spans(at: wp.array(dtype=wp.vec3d), rows: int, columns: int, unit: bool, out: wp.array(dtype=wp.vec3d)):
+def spans(
+    at: wp.array(dtype=wp.vec3d), rows: int, columns: int, step: int, unit: bool, out: wp.array(dtype=wp.vec3d)
+):
     """Products (f rows columns,) of the differences down and across grids of nodes, central and at an edge one-sided:
-    normals toward the camera as long as the area per node [mm^2], or of length 1."""
-    f, i = wp.tid()
+    normals toward the camera as long as the area per node [mm^2], or of length 1. `step` threads do a row."""
+    f, i, before = wp.tid()
     start = (f * rows + i) * columns
     above, below = (f * rows + wp.max(i - 1, 0)) * columns, (f * rows + wp.min(i + 1, rows - 1)) * columns
     tall = real(1.0) / real((below - above) / columns)
-    for j in range(columns):
+    for j in range(before, columns, step):
         left, right = wp.max(j - 1, 0), wp.min(j + 1, columns - 1)
         down, across = (
             (get(at, below + j) - get(at, above + j)) * tall,

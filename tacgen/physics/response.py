@@ -1,9 +1,4 @@
-"""The response of a camera, and the numbers of its noise as NumPy's PCG64 draws them, as Warp kernels.
-
-PCG64 is O'Neill's PCG XSL RR 128/64 (PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for
-Random Number Generation, 2014): a linear congruential generator of 128 bits, which jumps any number of steps ahead at
-once (F. Brown, Random Number Generation with Arbitrary Strides, 1994). So each step is computed by itself.
-"""
+"""The response of a camera, as Warp functions and kernels."""
 
 import warp as wp
 
@@ -12,9 +7,7 @@ from tacgen.physics.laws import real
 
 RESPONSE_CELLS = 4096  # of the light from 0 to 1: fine enough for no more than one step between counts in each
 CELLS = wp.constant(real(RESPONSE_CELLS))
-LOW_HALF = wp.constant(wp.uint64(0xFFFFFFFF))  # of 64 bits
 PIXELS_PER_THREAD = 32  # that a core counts together
-Long = wp.types.vector(length=2, dtype=wp.uint64)  # low and high half of 128 bits
 
 
 @wp.func
@@ -89,32 +82,21 @@ def _counted(lanes: int) -> wp.Kernel:
 counted, counted_singly = _counted(PIXELS_PER_THREAD), _counted(1)  # for a core and for a GPU
 
 
-@wp.func
-def high_product(a: wp.uint64, b: wp.uint64) -> wp.uint64:
-    """The high half of a product of 128 bits."""
-    half = wp.uint64(32)
-    low, high, other_low, other_high = a & LOW_HALF, a >> half, b & LOW_HALF, b >> half
-    middle = high * other_low + ((low * other_low) >> half)
-    beside = low * other_high + (middle & LOW_HALF)
-    return high * other_high + (middle >> half) + (beside >> half)
-
-
-@wp.func
-def product(a: Long, b: Long) -> Long:
-    """A product mod 2^128."""
-    return Long(a[0] * b[0], high_product(a[0], b[0]) + a[0] * b[1] + a[1] * b[0])
-
-
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def noise(states: wp.array2d(dtype=Long), jumps: wp.array2d(dtype=Long), out: wp.array2d(dtype=wp.uint64)):
-    """Outputs (f, n), of four numbers of 16 bits each, that generators draw next.
-
-    states (f, 2): their states and increments; jumps (n, 2): factors A and C, after k + 1 steps the state is
-    A state + C increment mod 2^128.
-    """
-    f, k = wp.tid()
-    stepped, added = product(jumps[k, 0], states[f, 0]), product(jumps[k, 1], states[f, 1])
-    low = stepped[0] + added[0]
-    high = stepped[1] + added[1] + wp.where(low < added[0], wp.uint64(1), wp.uint64(0))  # with the carry
-    mixed, turn = high ^ low, high >> wp.uint64(58)
-    out[f, k] = (mixed >> turn) | (mixed << ((wp.uint64(64) - turn) & wp.uint64(63)))
+def averaged(
+    pictures: wp.array(dtype=wp.float32),
+    weights: wp.array(dtype=wp.float32),
+    length: int,
+    step: int,
+    out: wp.array(dtype=wp.float32),
+):
+    """Pictures (n,) averaged along one axis of so many entries, `step` numbers apart, by weights of the distances 0 to
+    m - 1 as filters.blurred; a thread for each number."""
+    k = wp.tid()
+    place = (k / step) % length
+    start = k - place * step
+    total = weights[0] * pictures[k]
+    for away in range(1, weights.shape[0]):
+        before, after = wp.max(place - away, 0), wp.min(place + away, length - 1)
+        total += weights[away] * (pictures[start + before * step] + pictures[start + after * step])
+    out[k] = total
