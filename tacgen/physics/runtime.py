@@ -20,7 +20,10 @@ OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
 KERNEL_FILES = {
     MODULE: ("elements", "tangents", "raster", "interpolation"),
-    OPTICS: ("coat", "faces", "filters", "response", "sampling", "shadows", "taxim"),
+    OPTICS: (
+        *("coat", "faces", "filters", "noise", "pictures", "response", "sampling", "shadows", "strip_columns"),
+        *("strips", "taxim"),
+    ),
 }
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 
