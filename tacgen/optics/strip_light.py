@@ -115,9 +115,8 @@ def transmission(k: Floats, indices: "Sequence[float]") -> Floats:
 def shadowing(terrain: Terrain) -> tuple[object, ...]:
     """A face as kernels take it: its heights and the least of blocks in a row, where it casts shadows, and its shape
     and size."""
-    extent = np.array([terrain.lowest, *terrain.box])
     grids = (grid.reshape(-1) for grid in (terrain.heights, terrain.small, terrain.large))
-    return *grids, extent, *terrain.heights.shape, *terrain.size
+    return *grids, terrain.extent, *terrain.heights.shape, *terrain.size
 
 
 def gather(

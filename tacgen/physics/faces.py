@@ -130,9 +130,7 @@ projected, projected_singly = _projected(POINTS_PER_THREAD), _projected(1)  # fo
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def spans(
-    at: wp.array(dtype=wp.vec3d), rows: int, columns: int, step: int, unit: bool, out: wp.array(dtype=wp.vec3d)
-):
+def spans(at: wp.array(dtype=wp.vec3d), rows: int, columns: int, step: int, unit: bool, out: wp.array(dtype=wp.vec3d)):
     """Products (f rows columns,) of the differences down and across grids of nodes, central and at an edge one-sided:
     normals toward the camera as long as the area per node [mm^2], or of length 1. `step` threads do a row."""
     f, i, before = wp.tid()

@@ -5,13 +5,13 @@ A thread does a sample: what a core does in rows for some samples, by the same f
 
 import warp as wp
 
+from tacgen.physics.bundles import MOST_NORMAL, between, bundle_at, cell_of, column_seen, single, wanted
 from tacgen.physics.coat import Glow, dimming, glow_at, paint_share, pattern_at
 from tacgen.physics.flat import get
 from tacgen.physics.laws import real
 from tacgen.physics.raster import HALF, sides, triangle_of, weights
-from tacgen.physics.shadows import terrain
-from tacgen.physics.strip_columns import FIELDS, MOST_NORMAL, between, bundle_at, cell_of, column_seen, single
-from tacgen.physics.strips import FACING
+from tacgen.physics.shadows import horizon, terrain
+from tacgen.physics.strips import ASIDE, FACING, TWO
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
@@ -111,15 +111,29 @@ def light(
     at, count = wp.cw_div(p - grid[0], grid[1]), middle.shape[0]
     cell = cell_of(size, at[0], at[1], at[2])
     seen, arrived = wp.vec3d(), wp.vec3d()
-    for c in range(count):
-        above = bundle_at(table, cell, c, 2 * count, steep)
-        below = bundle_at(table, cell, c + count, 2 * count, steep)
-        free = real(between(table, cell, 2 * FIELDS * count + c))
-        made = column_seen(heights, small, large, ground, above, below, free, middle[c], mirror, p, n, view, ci, alpha)
-        led = strip[c]
-        seen += made[0] * matt[led, 0] + made[1] * gloss[led, 0]
-        if matt.shape[1] > 1:
-            arrived += made[0] * matt[led, 1] + made[1] * gloss[led, 1]
+    c = int(0)
+    while c < count:
+        direct, mirrored = (
+            bundle_at(table, cell, c, 2 * count, steep),
+            bundle_at(table, cell, c + count, 2 * count, steep),
+        )
+        free, source, led = real(between(table, cell, 8 * count + c)), get(middle, c), get(strip, c)
+        above, below = wanted(direct, free), wanted(mirrored, free)
+        lit, relit = above[0] < above[1], below[0] < below[1]
+        if lit or relit:
+            dx, dy = source[0] - p[0], source[1] - p[1]
+            rho = wp.max(wp.sqrt(dx * dx + dy * dy), ASIDE)
+            d = wp.vec2d(dx / rho, dy / rho)
+            above, below = wp.where(lit, above, below), wp.where(relit, below, above)
+            edge = horizon(heights, small, large, ground, p[0], p[1], p[2], d[0], d[1], rho, above, below)
+            rise, mirrored_rise = source[2] - p[2], TWO * mirror - source[2] - p[2]
+            made = column_seen(
+                direct, mirrored, lit, relit, wp.min(edge, free), d, rho, rise, mirrored_rise, n, view, ci, alpha
+            )
+            seen += made[0] * matt[led, 0] + made[1] * gloss[led, 0]
+            if matt.shape[1] > 1:
+                arrived += made[0] * matt[led, 1] + made[1] * gloss[led, 1]
+        c += 1
     bounced, share = glow_at(terms[s], level[s], normal), real(0.0)
     seen = passed[s] * seen + bounced
     if dots.shape[0] > 0:

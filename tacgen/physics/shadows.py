@@ -192,26 +192,3 @@ def extents(small: wp.array3d(dtype=real), out: wp.array2d(dtype=real)):
     out[f, 2] = wp.where(right < columns, real(right * SMALL), FAR)
     out[f, 3] = wp.where(top > 0, real(top * SMALL), -FAR)
     out[f, 4] = wp.where(bottom < rows, real(bottom * SMALL), FAR)
-
-
-@wp.kernel(enable_backward=False, module="tacgen.optics")
-def horizons(
-    heights: wp.array(dtype=real),
-    small: wp.array(dtype=real),
-    large: wp.array(dtype=real),
-    extent: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    wide: real,
-    tall: real,
-    points: wp.array(dtype=wp.vec3d),
-    ways: wp.array(dtype=wp.vec3d),
-    above: wp.array(dtype=wp.vec2d),
-    below: wp.array(dtype=wp.vec2d),
-    out: wp.array(dtype=real),
-):
-    """Horizons (n,) of one face from points along ways (dx, dy, reach), see `horizon`."""
-    k = wp.tid()
-    p, way = points[k], ways[k]
-    face = terrain(extent, 0, rows, columns, wide, tall)
-    out[k] = horizon(heights, small, large, face, p[0], p[1], p[2], way[0], way[1], way[2], above[k], below[k])

@@ -1,32 +1,23 @@
-"""Light of columns of LED strips for whole pictures, as Warp functions and kernels; see optics.strip_light_table.
-
-A column's light on a point of the face is a bundle in the vertical plane of its irradiance vector: the lateral part of
-that times distance^2, over its range of slopes [mm^2]; its least slope (rise over sideways way); the greatest that does
-not come from behind the face; and the slope of the face, from which on it does [-].
-"""
+"""Light of columns of LED strips for whole pictures, as Warp kernels; see optics.strip_light_table."""
 
 import warp as wp
 
+from tacgen.physics.bundles import INSIDE, MOST_NORMAL, bundle, cell_of, column_seen, mixed, single, wanted
 from tacgen.physics.flat import get, put
 from tacgen.physics.laws import real
 from tacgen.physics.shadows import horizon, terrain
-from tacgen.physics.strips import ASIDE, FACING, HALF, ONE, PI, TWO, ZERO, arrive, ggx, shaded
+from tacgen.physics.strips import ASIDE, FACING, ONE, TWO, ZERO, arrive, shaded
 
 LATERAL_STEP_MM = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
 HEIGHT_STEP_MM = 0.5  # spacing of the heights [mm]
 POINTS_ALONG_COLUMN, POINTS_ACROSS_COLUMN = 2, 16  # quadrature points along and across a column
 MAX_SLOPE = 9.0  # of a ray, larger than all [-]
-MAX_NORMAL_Z = -1e-3  # largest z component of a normal [-]
 # fields of a column's light: its irradiance vector times distance^2 [mm^2], and half its range of slopes [-]
 LIGHT_FIELDS = 4
-single = wp.float32
 FIELDS, ACROSS = wp.constant(LIGHT_FIELDS), wp.constant(POINTS_ACROSS_COLUMN)
 LATERAL, RISE = wp.constant(real(LATERAL_STEP_MM)), wp.constant(real(HEIGHT_STEP_MM))
 HALF_COLUMN = wp.constant(single(0.5 / POINTS_ALONG_COLUMN))
 MOST_SLOPE = wp.constant(real(MAX_SLOPE))
-MOST_NORMAL = wp.constant(real(MAX_NORMAL_Z))
-GAUSS = wp.constant(real(12.0**-0.5))  # of a range, from its middle to Gauss's points
-INSIDE = wp.constant(real(1.001))  # entries by which a place stays before the end of a table
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
@@ -222,76 +213,6 @@ def untouched_horizons(
             i += 1
 
 
-@wp.func
-def trilinear(
-    table: wp.array(dtype=single), size: wp.vec4i, x: real, y: real, z: real, out: wp.array(dtype=single), first: int
-):
-    """A table (heights, rows, columns, c) of `size` at column x, row y and height z: c numbers of `out`, linear,
-    constant beyond its ends."""
-    u = wp.clamp(x, ZERO, real(size[2]) - INSIDE)
-    v = wp.clamp(y, ZERO, real(size[1]) - INSIDE)
-    w = wp.clamp(z, ZERO, real(size[0]) - INSIDE)
-    i, j, k, count = int(u), int(v), int(w), size[3]
-    a, b, d, one = single(u - real(i)), single(v - real(j)), single(w - real(k)), single(1.0)
-    w00, w01, w10, w11 = (one - b) * (one - a), (one - b) * a, b * (one - a), b * a
-    near = ((k * size[1] + j) * size[2] + i) * count
-    row, plane = size[2] * count, size[1] * size[2] * count
-    c = int(0)
-    while c < count:
-        at = near + c
-        low = w00 * get(table, at) + w01 * get(table, at + count)
-        low += w10 * get(table, at + row) + w11 * get(table, at + row + count)
-        at += plane
-        high = w00 * get(table, at) + w01 * get(table, at + count)
-        high += w10 * get(table, at + row) + w11 * get(table, at + row + count)
-        put(out, first + c, low + d * (high - low))
-        c += 1
-
-
-@wp.func
-def incident(room: wp.array(dtype=single), first: int, both: int, nx: single, ny: single, nz: single):
-    """Bundles (4, 2 columns) of the columns' light on a point of the face with this normal, from Columns.light there;
-    they take the places of its first fields in `room`."""
-    c = int(0)
-    while c < both:
-        at = first + c
-        ex, ey, ez, half = get(room, at), get(room, at + both), get(room, at + 2 * both), get(room, at + 3 * both)
-        side = wp.sqrt(ex * ex + ey * ey)
-        each = single(1.0) / wp.max(side, single(1e-30))
-        slope, turn = ez * each, -(nx * ex + ny * ey) * each / nz
-        put(room, at, side / (half + half))
-        put(room, at + both, slope - half)
-        put(room, at + 2 * both, wp.min(slope + half, turn))
-        put(room, at + 3 * both, turn)
-        c += 1
-
-
-@wp.func
-def seen_of(
-    room: wp.array(dtype=single), at: int, both: int, edge: real, d: wp.vec2d, rho2: real, rise: real, n: wp.vec3d,
-    view: wp.vec3d, ci: real, alpha: real,
-) -> wp.vec2d:  # fmt: skip
-    """Light of one column by a white Lambertian coat and by a rough mirror, as far as it passes slopes below `edge`;
-    d: unit vector sideways toward it, at a squared distance rho2 and a height `rise` [mm]."""
-    low, top = real(get(room, at + both)), wp.min(edge, real(get(room, at + 2 * both)))
-    if not top > low:
-        return wp.vec2d()
-    side = real(get(room, at)) * (top - low) / (rho2 + rise * rise)
-    turn, seen = real(get(room, at + 3 * both)), HALF * (top + low)  # mean slope of what is seen of the column
-    bright = real(0.0)
-    if alpha > ZERO:
-        along, spread = view[0] * d[0] + view[1] * d[1], (top - low) * GAUSS
-        steep = seen - spread
-        point = int(0)
-        while point < 2:
-            long = wp.sqrt(ONE + steep * steep)
-            co = -n[2] * (turn - steep) / long
-            bright += HALF * side * long * ggx((along + view[2] * steep) / long, ci, co, alpha)
-            steep += TWO * spread
-            point += 1
-    return wp.vec2d(-side * n[2] * (turn - seen) / PI, bright)
-
-
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def toward_camera(
     index: wp.array(dtype=wp.int64),
@@ -350,16 +271,33 @@ def toward_camera(
             ci = wp.max(wp.dot(n, view), FACING)
             n = wp.vec3d(n[0], n[1], wp.min(n[2], MOST_NORMAL))
             place_of = wp.cw_div(p - corner, pitch)
-            trilinear(light, size, place_of[0], place_of[1], place_of[2], room, first)
-            incident(room, first, both, single(n[0]), single(n[1]), single(n[2]))
+            cell = cell_of(size, place_of[0], place_of[1], place_of[2])
+            near, across, down, up = cell.first, cell.across, cell.down, cell.up
+            w00, w01, w10, w11, share = cell.w00, cell.w01, cell.w10, cell.w11, cell.share  # loops of vectors want none
+            nx, ny, nz = single(n[0]), single(n[1]), single(n[2])
+            c = int(0)
+            while c < size[3]:
+                number = mixed(light, near + c, across, down, up, w00, w01, w10, w11, share)
+                put(room, first + c, number)
+                c += 1
+            c = int(0)
+            while c < both:  # the bundles take the places of the fields
+                i = first + c
+                x, y, z = get(room, i), get(room, i + both), get(room, i + 2 * both)
+                lateral, low, high, turn = bundle(x, y, z, get(room, i + 3 * both), nx, ny, nz)
+                put(room, i, lateral)
+                put(room, i + both, low)
+                put(room, i + 2 * both, high)
+                put(room, i + 3 * both, turn)
+                c += 1
             c = int(0)
             while c < middle.shape[0]:
-                direct, mirrored = first + c, first + c + middle.shape[0]
+                i, j = first + c, first + c + middle.shape[0]
+                direct = wp.vec4(get(room, i), get(room, i + both), get(room, i + 2 * both), get(room, i + 3 * both))
+                mirrored = wp.vec4(get(room, j), get(room, j + both), get(room, j + 2 * both), get(room, j + 3 * both))
                 free = real(get(room, first + FIELDS * both + c))
-                above = wp.vec2d(real(get(room, direct + both)), wp.min(real(get(room, direct + 2 * both)), free))
-                below = wp.vec2d(real(get(room, mirrored + both)), wp.min(real(get(room, mirrored + 2 * both)), free))
-                lit = get(room, direct) > single(0.0) and above[0] < above[1]
-                relit = get(room, mirrored) > single(0.0) and below[0] < below[1]
+                above, below = wanted(direct, free), wanted(mirrored, free)
+                lit, relit = above[0] < above[1], below[0] < below[1]
                 if lit or relit:
                     source = get(middle, c)
                     dx, dy = source[0] - p[0], source[1] - p[1]
@@ -367,12 +305,10 @@ def toward_camera(
                     d = wp.vec2d(dx / rho, dy / rho)
                     a, b = wp.where(lit, above, below), wp.where(relit, below, above)
                     edge = wp.min(horizon(heights, small, large, face, p[0], p[1], p[2], d[0], d[1], rho, a, b), free)
-                    made = wp.vec2d()
-                    if lit:
-                        made = seen_of(room, direct, both, edge, d, rho * rho, source[2] - p[2], n, view, ci, alpha)
-                    if relit:
-                        rise = TWO * mirror - source[2] - p[2]
-                        made += seen_of(room, mirrored, both, edge, d, rho * rho, rise, n, view, ci, alpha)
+                    rise, mirrored_rise = source[2] - p[2], TWO * mirror - source[2] - p[2]
+                    made = column_seen(
+                        direct, mirrored, lit, relit, edge, d, rho, rise, mirrored_rise, n, view, ci, alpha
+                    )
                     made *= get(passed, at)
                     m = int(0)
                     while m < count:

@@ -64,7 +64,7 @@ class FaceDrawer:
         frames, count, _ = nodes.shape
         keys = torch.full((frames, math.prod(shape)), EMPTY_SAMPLE_KEY, dtype=torch.int64, device=nodes.device)
         turned = torch.zeros(2 * frames, dtype=torch.int32, device=nodes.device)
-        near, places = nodes[..., 2].reshape(-1), screen.reshape(-1, 2)
+        near, places = nodes[..., 2].contiguous().reshape(-1), screen.reshape(-1, 2)  # kernels take no strides
         launch(
             raster.rasterized, (frames * len(self.triangles),), self.triangles, places, near, count, *shape,
             keys.reshape(-1), turned,
