@@ -17,7 +17,6 @@ from tacgen.fem.elements import (
 from tacgen.fem.elements import triangles as pieces
 from tacgen.geometry.rasterize import hits
 from tacgen.mechanics import Problem, State
-from tacgen.optics.surface_grid import unit
 from tacgen.outputs.gel_surface import GelSurface
 
 if TYPE_CHECKING:
@@ -217,7 +216,8 @@ class Shares:
 
     def normals(self, surface: GelSurface) -> Array:
         """Unit normals (p, 3) of the smooth face behind each of the pixels."""
-        return unit(self.at(surface.normals))
+        mean = self.at(surface.normals)
+        return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True))
 
     def shared(self, per_point: Array) -> Array:
         """Forces at the points per area of the face (p, c), in proportion to the weights; of a node that is partly out

@@ -142,7 +142,7 @@ def test_the_box_of_what_casts_shadows_loses_none():
     for middle in ((0.0, 0.0), (2.0, -3.0), (-4.0, 5.5)):  # the last at the grid's corner
         dent = -0.8 * np.exp(-((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / 0.5)
         terrain = Terrain.of(dent, size, np.zeros_like(dent))
-        everywhere = terrain._replace(box=(-np.inf, np.inf, -np.inf, np.inf))
+        everywhere = terrain._replace(extent=np.array([terrain.extent[0], -np.inf, np.inf, -np.inf, np.inf]))
         for k in range(1500):
             row, column, turn = rng.integers(0, 121), rng.integers(0, 91), rng.uniform(0, 2 * np.pi)
             ray = (x[row, column], y[row, column], dent[row, column], np.cos(turn), np.sin(turn), rng.uniform(1, 15))
