@@ -8,8 +8,8 @@ the slope of the face, from which on it does [-].
 import warp as wp
 
 from tacgen.physics.flat import get
-from tacgen.physics.laws import real
-from tacgen.physics.strips import HALF, ONE, PI, TWO, ZERO, ggx
+from tacgen.physics.laws import HALF, ONE, TWO, ZERO, real
+from tacgen.physics.strips import PI, ggx
 
 MAX_NORMAL_Z = -1e-3  # largest z component of a normal [-]
 single = wp.float32

@@ -8,10 +8,10 @@ import warp as wp
 from tacgen.physics.bundles import MOST_NORMAL, between, bundle_at, cell_of, column_seen, single, wanted
 from tacgen.physics.coat import Glow, dimming, glow_at, paint_share, pattern_at
 from tacgen.physics.flat import get
-from tacgen.physics.laws import real
-from tacgen.physics.raster import HALF, sides, triangle_of, weights
+from tacgen.physics.laws import HALF, TWO, real
+from tacgen.physics.raster import sides, triangle_of, weights
 from tacgen.physics.shadows import horizon, terrain
-from tacgen.physics.strips import ASIDE, FACING, TWO
+from tacgen.physics.strips import ASIDE, FACING
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")

@@ -18,7 +18,7 @@ BEHIND = wp.constant(real(1e-4))  # way by which a ray goes on beyond a block's 
 
 
 @wp.struct
-class Terrain:
+class Ground:
     """One face of several: where its numbers begin in the arrays, and its grid of `rows` x `columns` heights."""
 
     first: int
@@ -41,9 +41,9 @@ def blocks(count: int, cells: int) -> int:
 
 
 @wp.func
-def terrain(extent: wp.array(dtype=real), f: int, rows: int, columns: int, wide: real, tall: real) -> Terrain:
+def terrain(extent: wp.array(dtype=real), f: int, rows: int, columns: int, wide: real, tall: real) -> Ground:
     """The face `f` over a rectangle of sides `wide`, `tall` [mm], by `extent` (5 f,), see `extents`."""
-    t = Terrain()
+    t = Ground()
     t.rows = rows
     t.columns = columns
     t.small_columns = blocks(columns, SMALL)
@@ -63,7 +63,7 @@ def horizon(
     heights: wp.array(dtype=real),
     small: wp.array(dtype=real),
     large: wp.array(dtype=real),
-    t: Terrain,
+    t: Ground,
     x: real,
     y: real,
     z: real,
@@ -175,7 +175,7 @@ def lowest(
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def extents(small: wp.array3d(dtype=real), out: wp.array2d(dtype=real)):
-    """Terrain.lowest and box (f, 5) by the least of small blocks (f, n, m); infinite at the grid's edges."""
+    """Least and box (f, 5) of `Ground`, by the least of small blocks (f, n, m); infinite at the grid's edges."""
     f = wp.tid()
     rows, columns = small.shape[1], small.shape[2]
     least = real(wp.inf)

@@ -4,9 +4,9 @@ import warp as wp
 
 from tacgen.physics.bundles import INSIDE, MOST_NORMAL, bundle, cell_of, column_seen, mixed, single, wanted
 from tacgen.physics.flat import get, put
-from tacgen.physics.laws import real
+from tacgen.physics.laws import ONE, TWO, ZERO, real
 from tacgen.physics.shadows import horizon, terrain
-from tacgen.physics.strips import ASIDE, FACING, ONE, TWO, ZERO, arrive, shaded
+from tacgen.physics.strips import ASIDE, FACING, arrive, shaded
 
 LATERAL_STEP_MM = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
 HEIGHT_STEP_MM = 0.5  # spacing of the heights [mm]
