@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.base.compiled import njit
-from tacgen.geometry.rasterize import seen
+from tacgen.geometry.rasterize import blend
 from tacgen.optics import coating, strip_light
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
@@ -36,21 +36,17 @@ class Samples(DrawnFace):
     @cached_property
     def normal(self) -> "Floats":
         """Unit, into the gel, (samples, 3)."""
-        return self._seen[0]
+        return blend(self.hits, self.facing, unit=True)
 
     @cached_property
     def rest(self) -> "Floats":
         """Rest position [mm], (samples, 2)."""
-        return self._seen[1]
+        return blend(self.hits, self.sheet.rest)
 
     @cached_property
     def paint(self) -> "Floats":
         """Share of marker paint (samples, 1)."""
         return self._view.paint(self)
-
-    @cached_property
-    def _seen(self) -> "tuple[Floats, Floats]":
-        return seen(self.hits, self.facing, self.sheet.rest)
 
 
 class CameraView:

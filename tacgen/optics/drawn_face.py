@@ -46,7 +46,6 @@ class DrawnFace:
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
         of what is nearest to the camera, or of what is outermost."""
         triangle, place, _ = self._outermost if outermost and self.folded else self._nearest
-        values = np.ascontiguousarray(values)  # `blend` would be compiled again for another memory layout
         return blend(self._behind(triangle, place), values).reshape(*triangle.shape, -1)
 
     @property

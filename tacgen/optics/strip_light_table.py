@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.base.compiled import njit
-from tacgen.geometry.rasterize import Hits, point
+from tacgen.geometry.rasterize import Hits
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.shadows import FAST_SUM_FLAGS, Terrain, horizon
 from tacgen.optics.strip_light import (
@@ -245,6 +245,18 @@ def untouched_horizons(places: Floats, z: Floats, middle: Floats, untouched: Ter
                     out[i, s, c] = found
                 lower, level = (found, level) if i == -2 else (lower, found if i == -1 else level)
     return out
+
+
+@njit(cache=False)
+def point(hits: Hits, values: Floats, i: int) -> tuple[float, float, float]:
+    """The three values (nodes, 3) at sample `i`, as in `blend`."""
+    t, v, w = hits.triangle[i], hits.place[i, 0], hits.place[i, 1]
+    if t < 0:
+        return np.nan, np.nan, np.nan
+    a, b, c, u = hits.faces[t, 0], hits.faces[t, 1], hits.faces[t, 2], 1.0 - v - w
+    x = u * values[a, 0] + v * values[b, 0] + w * values[c, 0]
+    y = u * values[a, 1] + v * values[b, 1] + w * values[c, 1]
+    return x, y, u * values[a, 2] + v * values[b, 2] + w * values[c, 2]
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST_SUM_FLAGS)

@@ -105,10 +105,10 @@ class Sheet:
         return np.asarray(self.rest / self.size + 0.5)
 
     @cached_property
-    def faces(self) -> "NDArray[np.uint32]":
+    def faces(self) -> "NDArray[np.int32]":
         """Triangles (2 cells, 3), wound so that their normals point at the camera (-z)."""
         columns, rows = map(len, self.lines)
-        i = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
+        i = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
         a, b, c, d = i[:-1, :-1].ravel(), i[:-1, 1:].ravel(), i[1:, 1:].ravel(), i[1:, :-1].ravel()
         return np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
 

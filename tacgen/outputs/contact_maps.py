@@ -165,7 +165,7 @@ class Shares:
         contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)
         touched, self.sharpenings = np.asarray(on.any(1)), SHARPENING_STEPS[contact.conn.shape[1]]
         facets, kind = surface.facets, surface.facets.shape[1]
-        triangles = pieces(facets).astype(np.uint32, order="C")  # as in a Sheet: `hits` is compiled for it
+        triangles = pieces(facets).astype(np.int32, order="C")
         screen, corner = camera.project(surface.now), surface.now[triangles]  # (t, 3, 3)
         hit, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
         gel = np.asarray(hit >= 0)

@@ -18,7 +18,7 @@ from tacgen.base import array_cache, compiled
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
-KERNEL_FILES = {MODULE: ("elements", "tangents"), OPTICS: tuple[str, ...]()}
+KERNEL_FILES = {MODULE: ("elements", "tangents", "raster"), OPTICS: tuple[str, ...]()}
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 
 
@@ -34,6 +34,7 @@ def load(module: str, device: str) -> None:
     if device != "cpu":
         wp.load_module(module, device)
         return
+    wp.set_module_options({"block_dim": 1}, wp.get_module(module))  # as `wp.launch` on a core
     file, key = compiled.folder() / f"{module}.entry", wp.get_module(module).hash_module().hex()
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
@@ -65,6 +66,8 @@ class Launches:
 
     def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
         """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay."""
+        if 0 in dim:
+            return
         key: list[Any] = [kernel, dim]
         addresses, plain = [], []
         for value in values:
