@@ -7,6 +7,13 @@ import warp as wp
 
 from tacgen.physics.laws import real
 
+
+@wp.func
+def is_nan(x: real) -> bool:
+    """`wp.isnan`, which a core calls as a function of C."""
+    return x != x
+
+
 READ, WRITE = "return data.data[i];", "data.data[i] = value;"
 
 
@@ -52,3 +59,7 @@ def put(data: wp.array(dtype=wp.int32), i: int, value: wp.int32): ...  # noqa: F
 
 @wp.func_native(WRITE)
 def put(data: wp.array(dtype=wp.vec2d), i: int, value: wp.vec2d): ...  # noqa: F811
+
+
+@wp.func_native(WRITE)
+def put(data: wp.array(dtype=wp.vec3d), i: int, value: wp.vec3d): ...  # noqa: F811

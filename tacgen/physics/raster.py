@@ -8,7 +8,7 @@ its number. So the result does not depend on the order in which threads run.
 
 import warp as wp
 
-from tacgen.physics.flat import get, put
+from tacgen.physics.flat import get, is_nan, put
 from tacgen.physics.laws import real
 
 EDGE_SLACK = (
@@ -77,7 +77,7 @@ def rasterized(
         t -= f * faces.shape[0]
     face, first = get(faces, t), f * nodes
     side = sides(screen, first, face)
-    if side[2, 2] == real(0.0) or not wp.isfinite(side[2, 2]):
+    if side[2, 2] == real(0.0) or is_nan(side[2, 2] - side[2, 2]):
         return
     turned[2 * f + wp.where(side[2, 2] > real(0.0), 1, 0)] = 1
     ax, ay = side[0, 0], side[0, 1]
@@ -182,7 +182,7 @@ def hidden(
     ax, ay = side[0, 0], side[0, 1]
     left = wp.max(ax + wp.min(wp.min(side[1, 0], side[2, 0]), real(0.0)), real(0.0))
     right = wp.min(ax + wp.max(wp.max(side[1, 0], side[2, 0]), real(0.0)), real(width) - real(1e-9))
-    if side[2, 2] == real(0.0) or not wp.isfinite(side[2, 2]) or left > right:
+    if side[2, 2] == real(0.0) or is_nan(side[2, 2] - side[2, 2]) or left > right:
         return
     za, zb, zc = depth[face[0]], depth[face[1]], depth[face[2]]
     nearest = wp.min(wp.min(za, zb), zc)
