@@ -1,7 +1,6 @@
 """The coated face as the camera sees it: the point behind each ray, and the markers printed there."""
 
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,10 +72,8 @@ class CameraView:
         """Radiance in air over that in the gel, per ray (samples,): Fresnel losses and 1/n^2."""
         slope = self.camera.slopes(self._pixels)
         k = np.hypot(*slope.T) / np.sqrt(1 + (slope**2).sum(axis=1))
-        share, n = np.ones(len(k)), self.camera.stack.indices
-        for a, b in pairwise(n):
-            share *= strip_light.fresnel_transmission(k, a, b)
-        return np.asarray(share / n[-1] ** 2)
+        n = self.camera.stack.indices
+        return strip_light.transmission(k, n) / n[-1] ** 2
 
     def look(self, surface: Surface) -> Samples:
         """The points behind the camera's rays."""

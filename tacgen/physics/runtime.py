@@ -18,7 +18,10 @@ from tacgen.base import array_cache, compiled
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
-KERNEL_FILES = {MODULE: ("elements", "tangents", "raster", "interpolation"), OPTICS: ("filters", "sampling", "taxim")}
+KERNEL_FILES = {
+    MODULE: ("elements", "tangents", "raster", "interpolation"),
+    OPTICS: ("filters", "sampling", "shadows", "strip_columns", "strips", "taxim"),
+}
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 
 

@@ -13,7 +13,7 @@ from tacgen.optics.direct_light import Direct
 from tacgen.optics.gaussian import weights
 from tacgen.optics.interreflection import NORMAL_DIFFERENCE, Glow
 from tacgen.optics.shadows import LARGE_BLOCK_CELLS, SMALL_BLOCK_CELLS
-from tacgen.optics.strip_light_table import MAX_NORMAL_Z
+from tacgen.physics.strip_columns import MAX_NORMAL_Z
 from tacgen.tensor_optics import gpu_light, gpu_noise, gpu_response
 from tacgen.tensor_optics.gpu_faces import FaceDrawer
 
