@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tacgen.geometry.rasterize import Hits
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.shadows import Terrain
-from tacgen.optics.strip_light import Panels, Slab, points, shadowing
+from tacgen.optics.strip_light import Panels, Slab, StripPoints, points, shadowing
 from tacgen.physics import runtime, strip_columns
 from tacgen.physics.strip_columns import HEIGHT_STEP_MM, LATERAL_STEP_MM, LIGHT_FIELDS
 
@@ -58,8 +58,6 @@ class Columns(NamedTuple):
             Slab.of(sensor),
             points(sensor.leds, *POINTS_OF_COLUMN, pieces),
         )
-        heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
-        home = np.searchsorted(slab.tops[:-1], heights, side="right").astype(np.int32)
         z = np.linspace(
             slab.bottoms[-1] + 0.1 * HEIGHT_STEP_MM,
             MAX_BULGE_MM,
@@ -76,26 +74,42 @@ class Columns(NamedTuple):
         face = map_coordinates(untouched.heights, ((places / untouched.size + 0.5) * count).T[::-1], order=1)
         places = np.column_stack([places, face])
         middle = lights.at.reshape(-1, math.prod(POINTS_OF_COLUMN), 3).mean(axis=1)
+        light = tabulated(lights, middle, places, z, aside, slab, Panels.of(sensor.leds), untouched)
         lowest, step = np.array([x[0], y[0], z[0]]), np.array([x[1] - x[0], y[1] - y[0], z[1] - z[0]])
-        light = np.empty((len(z), len(places), (2 * LIGHT_FIELDS + 1) * len(middle)), np.float32)
-        table, rows = np.empty((len(heights) * len(aside), 2, 4, len(z)), np.float32), slab.rows
-        runtime.call(strip_columns.connections, (len(table),), z, aside, heights, home, rows, table)
-        lights_of = *lights.rows, middle, level.astype(np.int32), home
-        ways = table.reshape(-1), len(aside), Panels.of(sensor.leds).rows, rows
-        room = np.empty(14 * len(middle) * len(z), np.float32)
-        count = (len(middle),)
-        runtime.call(strip_columns.column_light, count, places, z, *lights_of, *ways, room, light.reshape(-1))
-        passing = *shadowing(untouched), light
-        runtime.call(strip_columns.untouched_horizons, (len(places),), places, z, middle, *passing)
-        light = light.reshape(len(z), len(y), len(x), -1)
         return cls(
             middle,
             lights.strip[:: math.prod(POINTS_OF_COLUMN)].astype(np.int32),
             lowest,
             step,
-            light,
+            light.reshape(len(z), len(y), len(x), -1),
             float(slab.bottoms[0]),
         )
+
+
+def tabulated(
+    lights: StripPoints,
+    middle: Floats,
+    places: Floats,
+    z: Floats,
+    aside: Floats,
+    slab: Slab,
+    panels: Panels,
+    untouched: Terrain,
+) -> Singles:
+    """Light of columns about middles (columns, 3) at heights z (m,) over places (n, 3) of the untouched face:
+    (m, n, (2 LIGHT_FIELDS + 1) x columns), by connections at ways `aside` [mm] in equal steps."""
+    heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
+    home, rows = np.searchsorted(slab.tops[:-1], heights, side="right").astype(np.int32), slab.rows
+    table = np.empty((len(heights) * len(aside), 2, 4, len(z)), np.float32)
+    runtime.call(strip_columns.connections, (len(table),), z, aside, heights, home, rows, table)
+    out = np.empty((len(z), len(places), (2 * LIGHT_FIELDS + 1) * len(middle)), np.float32)
+    sources = *lights.rows, middle, level.astype(np.int32), home
+    ways = table.reshape(-1), len(aside), panels.rows, rows
+    room = np.empty(14 * len(middle) * len(z), np.float32)
+    runtime.call(strip_columns.column_light, (len(middle),), places, z, *sources, *ways, room, out.reshape(-1))
+    seen = *shadowing(untouched), out
+    runtime.call(strip_columns.untouched_horizons, (len(places),), places, z, middle, *seen)
+    return out
 
 
 def seen(sensor: "LitSensor") -> Floats:
