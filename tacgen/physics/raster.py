@@ -9,7 +9,7 @@ its number. So the result does not depend on the order in which threads run.
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan, put
-from tacgen.physics.laws import real
+from tacgen.physics.laws import HALF, real
 
 EDGE_SLACK = (
     -1e-12
@@ -18,7 +18,6 @@ EMPTY_SAMPLE_KEY = (1 << 63) - 1  # key of a sample behind which no triangle lie
 EMPTY = wp.constant(wp.int64(EMPTY_SAMPLE_KEY))
 SLACK = wp.constant(real(EDGE_SLACK))
 NOWHERE = wp.constant(real(wp.nan))  # a value where no triangle lies
-HALF = wp.constant(real(0.5))  # a sample's centre [samples]
 DEPTH_BITS = wp.constant(wp.int64(32))  # place of the depth in a key
 NUMBER_MASK = wp.constant(wp.int64(0xFFFFFFFF))  # of the triangle's number in a key
 

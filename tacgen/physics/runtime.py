@@ -68,17 +68,17 @@ class Launches:
         self._prepared: dict[tuple[Any, ...], PreparedLaunch] = {}
 
     def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
-        """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay."""
+        """As `launch`, on arrays of NumPy, whose lengths and addresses may change, and on those of Warp that stay."""
         if 0 in dim:
             return
-        key: list[Any] = [kernel, dim]
-        addresses, plain = [], []
-        for value in values:
+        key: list[Any] = [kernel]
+        rows, plain = [], []
+        for value, rank in zip(values, _ranks(kernel), strict=True):
             if isinstance(value, np.ndarray):
                 row = value if value.flags.c_contiguous else np.ascontiguousarray(value)
-                key.append((row.shape, row.dtype.char))
-                addresses.append(row.__array_interface__["data"][0])
-                plain.append(row)  # lives until the kernel has run
+                key.append((row.shape[rank:], row.dtype.char))
+                rows.append(row)  # lives until the kernel has run
+                plain.append(row)
             else:
                 key.append(id(value) if isinstance(value, wp.array) else value)
                 plain.append(value)
@@ -88,11 +88,18 @@ class Launches:
             if len(self._prepared) == MAX_PREPARED_LAUNCHES:
                 del self._prepared[next(iter(self._prepared))]
             prepared = self._prepared[asked] = PreparedLaunch(kernel, dim, plain)
-        prepared.run(addresses)
+        prepared.run(dim, rows)
+
+
+@cache
+def _ranks(kernel: wp.Kernel) -> tuple[int, ...]:
+    """The axes of each argument of a kernel, beside those of its values; 0 of a number."""
+    return tuple(getattr(argument.type, "ndim", 0) for argument in kernel.adj.args)
 
 
 class PreparedLaunch:
-    """A kernel's launch on a core with arrays of NumPy of certain shapes; their addresses are given to `run`."""
+    """A kernel's launch on a core with arrays of NumPy of certain types; size, addresses and shapes are given to
+    `run`."""
 
     def __init__(self, kernel: wp.Kernel, dim: tuple[int, ...], values: list[Any]) -> None:
         recorded = launch(kernel, dim, *values, record=True)
@@ -100,15 +107,22 @@ class PreparedLaunch:
         names = [f"p{k}" for k in range(len(params))]
         fields = [(name, type(param)) for name, param in zip(names, params, strict=True)]
         given: Any = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*params)
-        self._arrays = [
-            getattr(given, name) for name, value in zip(names, values, strict=True) if isinstance(value, np.ndarray)
-        ]
-        self._stays = [value for value in values if isinstance(value, wp.array)], bounds, recorded.module_exec, given
+        arrays = [(name, value) for name, value in zip(names, values, strict=True) if isinstance(value, np.ndarray)]
+        self._dim, self._bounds = dim, bounds
+        self._arrays, self._shapes = [getattr(given, name) for name, _ in arrays], [row.shape for _, row in arrays]
+        self._stays = [value for value in values if isinstance(value, wp.array)], recorded.module_exec, given
         self._function, self._arguments = recorded.hooks.forward, (ctypes.byref(bounds), ctypes.byref(given))
 
-    def run(self, addresses: list[int]) -> None:
-        for there, address in zip(self._arrays, addresses, strict=True):
-            there.data = address
+    def run(self, dim: tuple[int, ...], rows: list[np.ndarray]) -> None:
+        if dim != self._dim:
+            self._dim = dim
+            self._bounds.__init__(dim)
+        for k, (there, row) in enumerate(zip(self._arrays, rows, strict=True)):
+            there.data = row.__array_interface__["data"][0]
+            if row.shape != self._shapes[k]:
+                self._shapes[k] = row.shape
+                for axis in range(there.ndim):
+                    there.shape[axis], there.strides[axis] = row.shape[axis], row.strides[axis]
         self._function(*self._arguments)
 
 
@@ -116,7 +130,7 @@ _threads = threading.local()
 
 
 def call(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
-    """As `launch`, on a core, on arrays of NumPy; launches on arrays of the same shapes are prepared once."""
+    """As `launch`, on a core, on arrays of NumPy; launches on arrays of the same types are prepared once."""
     if not hasattr(_threads, "launches"):
         _threads.launches = Launches()
     _threads.launches(kernel, dim, *values)

@@ -7,7 +7,7 @@ against air, and the outermost layer, with the camera's face in it, has no top. 
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan
-from tacgen.physics.laws import real
+from tacgen.physics.laws import HALF, ONE, TWO, ZERO, real
 from tacgen.physics.shadows import horizon, terrain
 
 # distance of a ray's end from a strip's plane, below which the strip does not block it [mm]
@@ -22,7 +22,6 @@ ASIDE = wp.constant(real(MIN_LATERAL_DISTANCE_MM))
 CHANGE = wp.constant(real(MAX_CONNECTION_CHANGE))
 LEVEL = wp.constant(real(MIN_SQUARED_COSINE))
 FACING = wp.constant(real(MIN_VIEW_COSINE))
-ZERO, HALF, ONE, TWO = wp.constant(real(0.0)), wp.constant(real(0.5)), wp.constant(real(1.0)), wp.constant(real(2.0))
 PI = wp.constant(real(3.141592653589793))
 
 

@@ -3,7 +3,7 @@
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan, put
-from tacgen.physics.laws import real
+from tacgen.physics.laws import HALF, real
 
 SLOPE_BINS = 41  # of each slope component, the sine of its angle from -1 to 1
 # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
@@ -11,7 +11,6 @@ SHADOW_SPACING_PX = 4
 BINS = wp.constant(SLOPE_BINS)
 SPACING = wp.constant(real(SHADOW_SPACING_PX))
 HALF_BINS = wp.constant(real((SLOPE_BINS - 1) / 2))
-HALF = wp.constant(real(0.5))
 BEFORE_LAST = wp.constant(real(1e-9))  # by which a place stays before a table's last entry [entries]
 Basis = wp.types.vector(length=6, dtype=real)  # 1, x, y, x^2, x y, y^2 at a pixel
 Lamp = wp.types.vector(length=7, dtype=real)  # ends of a strip and half its height [mm]
