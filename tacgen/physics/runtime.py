@@ -41,6 +41,10 @@ def load(module: str, device: str) -> None:
         wp.load_module(module, device)
         return
     wp.set_module_options({"block_dim": 1}, wp.get_module(module))  # as `wp.launch` on a core
+    if module == OPTICS:
+        from tacgen.physics import COMPILER_FLAGS
+
+        wp.set_module_options({"cpu_compiler_flags": COMPILER_FLAGS + " -ffp-contract=fast"}, wp.get_module(module))
     file, key = compiled.folder() / f"{module}.entry", wp.get_module(module).hash_module().hex()
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)

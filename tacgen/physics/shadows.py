@@ -29,7 +29,8 @@ class Ground:
     small_columns: int
     large_columns: int
     middle: wp.vec2d  # half of the rectangle's sides [mm]
-    cell: wp.vec2d  # sides of a cell [mm]
+    pitch: wp.vec2d  # cells along each side [1/mm]
+    step: real  # mean side of a cell [mm]
     lowest: real  # of what casts shadows [mm]
     box: wp.vec4d  # least and greatest column, least and greatest row beyond which nothing casts shadows [cells]
 
@@ -52,7 +53,8 @@ def terrain(extent: wp.array(dtype=real), f: int, rows: int, columns: int, wide:
     t.small = f * blocks(rows, SMALL) * t.small_columns
     t.large = f * blocks(rows, LARGE) * t.large_columns
     t.middle = wp.vec2d(real(0.5) * wide, real(0.5) * tall)
-    t.cell = wp.vec2d(wide / real(columns - 1), tall / real(rows - 1))
+    t.pitch = wp.vec2d(real(columns - 1) / wide, real(rows - 1) / tall)
+    t.step = real(0.5) * (wide / real(columns - 1) + tall / real(rows - 1))
     t.lowest = extent[5 * f]
     t.box = wp.vec4d(extent[5 * f + 1], extent[5 * f + 2], extent[5 * f + 3], extent[5 * f + 4])
     return t
@@ -86,17 +88,20 @@ def horizon(
     passed, limit = above[1], above[1]
     if t.lowest == FAR:
         return passed
-    u0, v0 = (x + t.middle[0]) / t.cell[0], (y + t.middle[1]) / t.cell[1]  # in cells
-    du, dv = dx / t.cell[0], dy / t.cell[1]
+    u0, v0 = (x + t.middle[0]) * t.pitch[0], (y + t.middle[1]) * t.pitch[1]  # in cells
+    du, dv = dx * t.pitch[0], dy * t.pitch[1]
     du = wp.where(wp.abs(du) > real(1e-9), du, real(1e-9))
     dv = wp.where(wp.abs(dv) > real(1e-9), dv, real(1e-9))
     across, down = real(1.0) / du, real(1.0) / dv
     right, under = wp.where(du > real(0.0), 1, 0), wp.where(dv > real(0.0), 1, 0)
-    step = real(0.5) * (t.cell[0] + t.cell[1])
     last, bottom = real(t.columns - 1), real(t.rows - 1)
-    first = wp.max((real(1 - right) * last - u0) * across, (real(1 - under) * bottom - v0) * down)
-    first = wp.max(first, real(1.5) * step) + real(1e-6)
-    r = wp.min((real(right) * last - u0) * across, (real(under) * bottom - v0) * down)
+    first = wp.max(
+        (wp.where(right == 1, real(0.0), last) - u0) * across, (wp.where(under == 1, real(0.0), bottom) - v0) * down
+    )
+    first = wp.max(first, real(1.5) * t.step) + real(1e-6)
+    r = wp.min(
+        (wp.where(right == 1, last, real(0.0)) - u0) * across, (wp.where(under == 1, bottom, real(0.0)) - v0) * down
+    )
     r = wp.min(r, reach) - real(1e-6)
     first = wp.max(first, (wp.where(right == 1, t.box[0], t.box[1]) - u0) * across)
     first = wp.max(first, (wp.where(under == 1, t.box[2], t.box[3]) - v0) * down)
@@ -137,7 +142,7 @@ def horizon(
                 return passed
             if passed <= above[0]:
                 limit = wp.min(passed, below[1])
-        r -= step + real(0.04) * r
+        r -= t.step + real(0.04) * r
         inside = r > enter
     return passed
 
