@@ -42,7 +42,7 @@ LAYERS = [
 ]
 # Numerics that know no recipe and no scene, in type hints either, and what they may import. Optics names the classes
 # of a sensor file in hints alone: it runs on anything that holds the same numbers.
-LIBRARIES = {"physics": {"base"}, "fem": {"base", "physics"}, "optics": {"base", "geometry"}}
+LIBRARIES = {"physics": {"base"}, "fem": {"base", "physics"}, "optics": {"base", "physics", "geometry"}}
 IN_HINTS = {"optics": {"sensor"}}
 ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 TENSORS_OF_BOTH = "physics.runtime"  # launches kernels on arrays of NumPy and of PyTorch

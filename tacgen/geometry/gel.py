@@ -135,7 +135,7 @@ class SolidGel(GelBody):
             raise UserError(f"{name}: no part of it faces up to within {angle}")
         pixel = FACE_PIXEL_RATIO * self.side
         screen, shape = (v[:, :2] - v[:, :2].min(0)) / pixel, np.ceil(np.ptp(v[:, :2], axis=0) / pixel).astype(int)
-        faces, size = t.astype(np.uint32), (int(shape[1]), int(shape[0]))
+        faces, size = t.astype(np.int32), (int(shape[1]), int(shape[0]))
         from tacgen.geometry.rasterize import nearest  # compiled: gels that are pads do not need it
 
         high, low = (sign * nearest(faces, screen, sign * v[:, 2], size) for sign in (-1.0, 1.0))

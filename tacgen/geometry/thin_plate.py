@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.base.compiled import njit
+from tacgen.physics import interpolation, runtime
 
 Floats = NDArray[np.float64]
 
@@ -24,32 +24,16 @@ def thin_plate(known: Floats, values: Floats, at: Floats, smoothing: float) -> t
     return values - smoothing * c[:n], np.asarray(_basis(at, known) @ c)
 
 
-@njit(cache=True)
 def _basis(at: Floats, known: Floats) -> Floats:
     """r^2 log(r) at points (m, 2) about known ones (n, 2), and a plane's three functions: (m, n + 3)."""
-    out, n = np.ones((len(at), len(known) + 3)), len(known)
-    for i in range(len(at)):
-        x, y = at[i, 0], at[i, 1]
-        for j in range(n):
-            square = (x - known[j, 0]) ** 2 + (y - known[j, 1]) ** 2
-            out[i, j] = 0.5 * square * np.log(max(square, 1e-300))
-        out[i, n + 1], out[i, n + 2] = x, y
+    out = np.empty((len(at), len(known) + 3))
+    runtime.call(interpolation.plate, (len(at),), at, known, out.reshape(-1))
     return out
 
 
 def distances(at: Floats, to: Floats, reach: float) -> Floats:
     """Distance (n,) from points (n, 2) to the nearest of others (m, 2); it may be infinite beyond twice `reach`."""
-    return np.asarray(_distances(at, to, to.min(axis=0) - 2 * reach, to.max(axis=0) + 2 * reach))
-
-
-@njit(cache=True)
-def _distances(at: Floats, to: Floats, low: Floats, high: Floats) -> Floats:
-    """`distances` within a box from `low` to `high` (2,), else infinite."""
+    box = np.array([to.min(axis=0) - 2 * reach, to.max(axis=0) + 2 * reach])
     out = np.empty(len(at))
-    for i in range(len(at)):
-        x, y, least = at[i, 0], at[i, 1], np.inf
-        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-            for j in range(len(to)):
-                least = min(least, (x - to[j, 0]) ** 2 + (y - to[j, 1]) ** 2)
-        out[i] = np.sqrt(least)
+    runtime.call(interpolation.distances, out.shape, at, to, box, out)
     return out

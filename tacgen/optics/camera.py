@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.base.compiled import njit
+from tacgen.physics import faces
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import Sensor
 
     Floats = NDArray[np.float64]
-
-PROJECTION_BATCH = 64  # points that are projected together
 
 
 @dataclass(frozen=True)
@@ -110,11 +109,22 @@ class PinholeCamera:
             ValueError: a point lies at or behind the pinhole.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        stack = np.array(self.stack.thicknesses), np.array(self.stack.indices)
-        pixels = _project(points, *self.center, *stack, self.turn, self.focal, self.axis)
+        pixels, each = np.empty((len(points), 2)), faces.POINTS_PER_THREAD
+        call(faces.projected, (-(-len(points) // each),), points, self.lens, self.layers, pixels)
         if np.isnan(pixels).any():
             raise ValueError("a point lies at or behind the camera's pinhole")
-        return np.asarray(pixels)
+        return pixels
+
+    @property
+    def lens(self) -> "Floats":
+        """The numbers (16,) of faces.Lens."""
+        whole = sum(self.stack.thicknesses)
+        return np.array([*self.center, whole, *self.focal, *self.axis, *self.turn.ravel()])
+
+    @property
+    def layers(self) -> "Floats":
+        """Thickness [mm] and index of each layer (n, 2)."""
+        return np.column_stack([self.stack.thicknesses, self.stack.indices])
 
     def rays(self, pixels: Any) -> tuple["Floats", "Floats"]:
         """Rays in the outermost gel layer through pixels (n, 2): origins (n, 3) [mm] on that layer's inner side and
@@ -135,67 +145,3 @@ class PinholeCamera:
     def axis(self) -> "Floats":
         """Position of the optical axis in the image [px]."""
         return np.array([self.shape[1] / 2, self.shape[0] / 2]) - self.crop_px
-
-
-@njit(cache=True, error_model="numpy")
-def _project(
-    points: "Floats", x: float, y: float, thicknesses: "Floats", indices: "Floats", turn: "Floats", focal: "Floats",
-    axis: "Floats",
-) -> "Floats":  # fmt: skip
-    """Pixels (n, 2) of points (n, 3) through a pinhole at x, y; nan of one at or behind it."""
-    out, slope, rho = np.empty((len(points), 2)), np.empty(PROJECTION_BATCH), np.empty(PROJECTION_BATCH)
-    work = np.empty((len(thicknesses) + 3, PROJECTION_BATCH))
-    for start in range(0, len(points), PROJECTION_BATCH):
-        some = points[start : start + PROJECTION_BATCH]
-        for j in range(len(some)):
-            rho[j] = np.sqrt((some[j, 0] - x) ** 2 + (some[j, 1] - y) ** 2)
-        _slopes(rho, some[:, 2], thicknesses, indices, slope, work)
-        for j in range(len(some)):
-            ratio = slope[j] / rho[j] if rho[j] > 0.0 else 0.0
-            sx, sy = (some[j, 0] - x) * ratio, (some[j, 1] - y) * ratio
-            down = sx * turn[0, 2] + sy * turn[1, 2] + turn[2, 2]
-            for k in range(2):
-                pixel = focal[k] * (sx * turn[0, k] + sy * turn[1, k] + turn[2, k]) / down + axis[k]
-                out[start + j, k] = pixel if slope[j] >= 0.0 else np.nan
-    return out
-
-
-@njit(cache=False, error_model="numpy")  # without checks of divisors, which would stop the compiler
-def _slopes(rho: "Floats", z: "Floats", thicknesses: "Floats", indices: "Floats", x: "Floats", work: "Floats") -> None:
-    """Slopes in air `x`, tan(theta) [-], of the rays that reach radii rho at heights z (n,) [mm]; nan at or behind the
-    pinhole.
-
-    Newton's method on the lateral travel, which is increasing and concave in x: from a start at or below the root, such
-    as the paraxial slope, it converges monotonically without a safeguard. Loops over points are the inner ones, which
-    the compiler turns into vector instructions. `work` (layers + 3, PROJECTION_BATCH) is overwritten.
-    """
-    n, last, whole = len(z), len(thicknesses) - 1, 0.0
-    for thickness in thicknesses:
-        whole += thickness
-    length, (travel, rate, moving) = work[: last + 1], (work[last + 1], work[last + 2], work[last + 3])
-    for j in range(n):
-        left, depth = z[j] + whole, 0.0
-        for k in range(last + 1):  # beyond the face the last layer continues
-            length[k, j] = max(left if k == last else min(left, thicknesses[k]), 0.0)
-            left -= thicknesses[k]
-            depth += length[k, j] / indices[k]
-        x[j], moving[j] = rho[j] / depth if depth > 0.0 else np.nan, 1.0
-    for _ in range(50):
-        for j in range(n):
-            travel[j], rate[j] = length[0, j] * x[j], length[0, j]  # of the air
-        for k in range(1, last + 1):
-            n2 = indices[k] * indices[k]
-            for j in range(n):
-                inverse = 1.0 / (n2 + (n2 - 1.0) * x[j] * x[j])
-                part = length[k, j] * np.sqrt(inverse)
-                travel[j] += part * x[j]
-                rate[j] += part * n2 * inverse
-        count = 0
-        for j in range(n):
-            step = (rho[j] - travel[j]) / rate[j]
-            x[j] += step if moving[j] > 0.0 else 0.0
-            # the remaining error is of the order of the step's square
-            moving[j] = 1.0 if moving[j] > 0.0 and abs(step) > 1e-8 * (1.0 + x[j]) else 0.0
-            count += 1 if moving[j] > 0.0 else 0
-        if count == 0:
-            break

@@ -1,13 +1,14 @@
 """From linear radiance to the camera's 8-bit image: focus, colours, vignetting, exposure, noise, response."""
 
-import math
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.base.compiled import njit
 from tacgen.optics.gaussian import blur
+from tacgen.physics import response
+from tacgen.physics.response import RESPONSE_CELLS
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,24 +17,32 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-RESPONSE_CELLS = 4096  # of the light from 0 to 1: fine enough for no more than one step between counts in each
 NOISE_QUANTILES = 1 << 16  # of the normal distribution, from which noise is drawn
 
 
 def vignette(camera: "Camera") -> "Floats":
     """Fall-off (H, W, 3) toward the corners, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched
     coating."""
+    return _fall_off(camera, 1.0)
+
+
+def exposed(camera: "Camera") -> "Floats":
+    """Exposure times fall-off (H, W, 3)."""
+    return _fall_off(camera, camera.exposure)
+
+
+def _fall_off(camera: "Camera", exposure: float) -> "Floats":
     size = camera.width_px, camera.height_px, camera.pixel_mm
-    return _fall_off(*size, *camera.crop_mm, camera.vignette_mm or (np.inf,) * 3)
+    return _fall_off_of(*size, *camera.crop_mm, camera.vignette_mm or (np.inf,) * 3, exposure)
 
 
 @lru_cache(maxsize=4)
-def _fall_off(
-    w: int, h: int, pixel: tuple[float, float], right: float, down: float, radii: tuple[float, ...]
+def _fall_off_of(
+    w: int, h: int, pixel: tuple[float, float], right: float, down: float, radii: tuple[float, ...], exposure: float
 ) -> "Floats":
     x, y = (np.arange(w) + 0.5 - w / 2) * pixel[0] + right, (np.arange(h) + 0.5 - h / 2) * pixel[1] + down
     r2 = x**2 + y[:, None] ** 2
-    fall = 1.0 / (1.0 + r2[..., None] / np.square(radii)) ** 2
+    fall = exposure * (1.0 / (1.0 + r2[..., None] / np.square(radii)) ** 2)
     fall.flags.writeable = False  # shared by the frames of a scene
     return fall
 
@@ -81,12 +90,12 @@ def stray(camera: "Camera") -> "Floats":
 def expose(radiance: "Floats", camera: "Camera") -> "Floats":
     """Linear signal over full scale (H, W, 3) of a radiance image (H, W, 3)."""
     mixed = radiance if camera.colour_matrix is None else radiance @ colours(camera).T
-    return np.asarray(mixed * (camera.exposure * vignette(camera)))
+    return np.asarray(mixed * exposed(camera))
 
 
 def unexposed(light: "Floats", camera: "Camera") -> "Floats":
     """The inverse of `expose`."""
-    even = light / (camera.exposure * vignette(camera))
+    even = light / exposed(camera)
     return even if camera.colour_matrix is None else np.asarray(even @ np.linalg.inv(colours(camera)).T)
 
 
@@ -99,13 +108,21 @@ def develop(
     """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given; `gain` (3,) is a
     factor on the light of each of the camera's colours."""
     height, width, _ = radiance.shape
-    shot, read, strength, noise = (0.0,) * 3, (0.0,) * 3, 0.0, np.zeros((1, 1), np.uint16)
+    out, noise, strength = np.empty(radiance.shape, np.uint8), None, 0.0
     if random is not None and camera.noise is not None:
-        shot, read, strength = camera.noise.shot, camera.noise.read, camera.noise.strength
-        noise = drawn(random, height, width)
-    grain = np.tile(shot, width), np.tile(read, width), strength, noise, quantiles()
-    mixed, fall = mix(camera, gain), vignette(camera)
-    return np.asarray(_counted(radiance, mixed, fall, camera.exposure, *grain, *steps(camera.response)))
+        noise, strength = drawn(random, height, width), camera.noise.strength
+    call(
+        response.counted, (1, -(-height * width // response.PIXELS_PER_THREAD)),
+        np.asarray(radiance, np.float32).reshape(-1), mix(camera, gain)[None], exposed(camera).reshape(-1),
+        grain(camera), strength, None if noise is None else noise.reshape(-1), 3 * height * width, quantiles(),
+        *steps(camera.response), out.reshape(-1),
+    )  # fmt: skip
+    return out
+
+
+def grain(camera: "Camera") -> "Floats":
+    """Shot and read noise of each colour (2, 3), 0 without."""
+    return np.zeros((2, 3)) if camera.noise is None else np.array([camera.noise.shot, camera.noise.read])
 
 
 def mix(camera: "Camera", gain: "Floats | None" = None) -> "Floats":
@@ -143,41 +160,3 @@ def steps(response: str) -> "tuple[Floats, NDArray[np.uint8]]":
         low, most = np.where(above, low, middle), np.where(above, middle, most)
     first = np.searchsorted(most[1:], np.arange(RESPONSE_CELLS + 1) / RESPONSE_CELLS, side="right")
     return np.append(most, np.inf)[first + 1], first.astype(np.uint8)
-
-
-@njit(cache=False)
-def deviation(light: float, shot: float, read: float) -> float:
-    """Standard deviation of a linear signal over full scale by white noise of variance shot x signal + read^2.
-
-    A normal distribution approximates Poisson's well, since a full pixel has thousands of electrons.
-    """
-    return math.sqrt(shot * min(max(light, 0.0), 1.0) + read**2)
-
-
-@njit(cache=True)
-def _counted(
-    radiance: "NDArray[np.floating]", mix: "Floats", fall: "Floats", exposure: float, shot: "Floats", read: "Floats",
-    strength: float, drawn: "NDArray[np.uint16]", quantiles: "NDArray[np.float32]", steps: "Floats",
-    counts: "NDArray[np.uint8]",
-) -> "NDArray[np.uint8]":  # fmt: skip
-    """All row by row, because a picture's temporary arrays cost more than its arithmetic; without noise, `strength` 0,
-    `drawn` (height, 3 width) is not read."""
-    height, width, _ = radiance.shape
-    out, row, scatter = np.empty((height, 3 * width), np.uint8), np.empty(3 * width), np.empty(3 * width)
-    for y in range(height):
-        for x in range(width):
-            red, green, blue = radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]
-            for c in range(3):
-                light = red * mix[c, 0] + green * mix[c, 1] + blue * mix[c, 2]
-                row[3 * x + c] = light * (exposure * fall[y, x, c])
-        if strength > 0.0:
-            for i in range(3 * width):  # in vectors, without the table
-                scatter[i] = strength * deviation(row[i], shot[i], read[i])
-            for i in range(3 * width):
-                row[i] += scatter[i] * quantiles[drawn[y, i]]
-        for i in range(3 * width):
-            light = row[i] if row[i] > 0.0 else 0.0  # of nan, too
-            light = light if light < 1.0 else 1.0
-            cell = np.uint32(light * RESPONSE_CELLS)
-            out[y, i] = counts[cell] + np.uint8(light >= steps[cell])
-    return out.reshape(height, width, 3)

@@ -1,17 +1,17 @@
 """The coated face as the camera sees it: the point behind each ray, and the markers printed there."""
 
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.base.compiled import njit
-from tacgen.geometry.rasterize import seen
+from tacgen.geometry.rasterize import blend
 from tacgen.optics import coating, strip_light
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Surface
+from tacgen.physics import coat
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,21 +36,17 @@ class Samples(DrawnFace):
     @cached_property
     def normal(self) -> "Floats":
         """Unit, into the gel, (samples, 3)."""
-        return self._seen[0]
+        return blend(self.hits, self.facing, unit=True)
 
     @cached_property
     def rest(self) -> "Floats":
         """Rest position [mm], (samples, 2)."""
-        return self._seen[1]
+        return blend(self.hits, self.sheet.rest)
 
     @cached_property
     def paint(self) -> "Floats":
         """Share of marker paint (samples, 1)."""
         return self._view.paint(self)
-
-    @cached_property
-    def _seen(self) -> "tuple[Floats, Floats]":
-        return seen(self.hits, self.facing, self.sheet.rest)
 
 
 class CameraView:
@@ -77,10 +73,8 @@ class CameraView:
         """Radiance in air over that in the gel, per ray (samples,): Fresnel losses and 1/n^2."""
         slope = self.camera.slopes(self._pixels)
         k = np.hypot(*slope.T) / np.sqrt(1 + (slope**2).sum(axis=1))
-        share, n = np.ones(len(k)), self.camera.stack.indices
-        for a, b in pairwise(n):
-            share *= strip_light.fresnel_transmission(k, a, b)
-        return np.asarray(share / n[-1] ** 2)
+        n = self.camera.stack.indices
+        return strip_light.transmission(k, n) / n[-1] ** 2
 
     def look(self, surface: Surface) -> Samples:
         """The points behind the camera's rays."""
@@ -90,13 +84,14 @@ class CameraView:
         """Radiance (H, W, 3) of the coating with its markers, from that without them, `bare` (samples, 3), which is
         overwritten."""
         if self.markers is not None:
-            _dim(bare, at.paint, self.change)
+            call(coat.dim, (len(bare),), bare, at.paint.reshape(-1), self.change[None], None)
         return self.picture(bare)
 
     def add_even(self, made: "Floats", at: Samples, light: "Floats") -> None:
         """Add to a picture `made` (H, W, 3), in place, the coating in light under which it would have the radiance
         `light` (3,) everywhere without markers."""
-        _add_even(made, light, self.picture(at.paint), self.change)
+        share = self.picture(at.paint).reshape(-1)
+        call(coat.dim, share.shape, made.reshape(-1, 3), share, self.change[None], light[None])
 
     @property
     def change(self) -> "Floats":
@@ -118,20 +113,3 @@ class CameraView:
         if n == 1:
             return samples.reshape(h, w, -1)
         return np.asarray(samples.reshape(h, n, w, n, -1).mean(axis=(1, 3)))
-
-
-@njit(cache=True)
-def _dim(bare: "Floats", paint: "Floats", change: "Floats") -> None:
-    """Multiply light (samples, 3) by 1 + its share of paint (samples, 1) x `change` (3,)."""
-    for i in range(len(bare)):
-        for c in range(3):
-            bare[i, c] *= 1.0 + paint[i, 0] * change[c]
-
-
-@njit(cache=True)
-def _add_even(made: "Floats", light: "Floats", paint: "Floats", change: "Floats") -> None:
-    """Add `light` (3,), changed like that by paint (H, W, 1), to a picture (H, W, 3)."""
-    for y in range(len(made)):
-        for x in range(made.shape[1]):
-            for c in range(3):
-                made[y, x, c] += light[c] * (1.0 + paint[y, x, 0] * change[c])

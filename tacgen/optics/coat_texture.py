@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.base.compiled import njit
+from tacgen.physics import coat
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -94,20 +95,17 @@ def _worn(wear: "Wear", x: "Floats", y: "Floats") -> "Floats":
     return np.asarray(1 - wear.loss * np.exp(-squared / (2 * wear.radius_mm**2)))
 
 
-@njit(cache=True)
 def sampled(field: "Floats", size: tuple[float, float], xy: "Floats") -> "Floats":
     """The field (h, w) over a rectangle of `size` (x, y) [mm], interpolated linearly at rest positions xy (n, 2) [mm];
     constant beyond its nodes, and 1 where the position is nan."""
-    rows, columns = field.shape
-    out = np.ones(len(xy))
-    for i in range(len(xy)):
-        if np.isnan(xy[i, 0] + xy[i, 1]):
-            continue
-        u = min(max((xy[i, 0] / size[0] + 0.5) * columns - 0.5, 0.0), columns - 1.0)
-        v = min(max((xy[i, 1] / size[1] + 0.5) * rows - 0.5, 0.0), rows - 1.0)
-        left, top = min(int(u), columns - 2), min(int(v), rows - 2)
-        a, b = u - left, v - top
-        above = (1 - a) * field[top, left] + a * field[top, left + 1]
-        below = (1 - a) * field[top + 1, left] + a * field[top + 1, left + 1]
-        out[i] = (1 - b) * above + b * below
+    out = np.empty(len(xy))
+    call(
+        coat.pattern,
+        (len(xy),),
+        field.reshape(-1),
+        *field.shape,
+        *(n / side for n, side in zip(field.shape[::-1], size, strict=True)),
+        xy,
+        out,
+    )
     return out

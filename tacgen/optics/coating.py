@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.base.compiled import njit
 from tacgen.optics.mitsuba_dicts import diffuse
+from tacgen.physics import coat
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,28 +60,10 @@ def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
     """Share of paint, 0 to 1, at rest positions xy (..., 2) [mm], 0 where they are nan; `edge` [mm] is the width of the
     blurred rim."""
     flat = np.asarray(xy, dtype=np.float64).reshape(-1, 2) - markers.middle_mm
-    counts = np.array(markers.row_counts)
-    return painted(flat, counts, *markers.spacing_mm, markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])
-
-
-@njit(cache=True, error_model="numpy")
-def painted(
-    xy: "Floats", counts: "NDArray[np.int64]", across: float, down: float, radius: float, edge: float
-) -> "Floats":
-    """Share of paint at xy (n, 2) [mm], of rows of `counts` dots about 0; across, down: their spacing [mm]."""
-    out, last, rows = np.zeros(len(xy)), (len(counts) - 1) / 2, 1 / down
-    reach = (radius + edge / 2) * rows
-    for i in range(len(xy)):
-        level = xy[i, 1] * rows + last
-        row, away2 = max(np.ceil(level - reach), 0.0), np.inf
-        while row <= min(level + reach, 2 * last):  # the rows near enough
-            end = (counts[int(row)] - 1) / 2
-            nearest = min(max(np.rint(xy[i, 0] / across + end) - end, -end), end)
-            away2 = min(away2, (xy[i, 0] - nearest * across) ** 2 + ((level - row) * down) ** 2)
-            row += 1.0
-        if away2 < np.inf:
-            out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0)
-    return out
+    counts, share = np.array(markers.row_counts, np.int32), np.empty(xy.shape[:-1])
+    sizes = *markers.spacing_mm, markers.diameter_mm / 2, edge
+    call(coat.paint, (len(flat),), flat, counts, *map(float, sizes), share.reshape(-1))
+    return share
 
 
 def mask(markers: "Markers", size: tuple[float, float], pixel: float) -> "Floats":

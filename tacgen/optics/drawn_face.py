@@ -42,12 +42,11 @@ class DrawnFace:
         """Whether parts of the face may hide others."""
         return self._nearest[2]
 
-    def behind(self, values: "Floats", outermost: bool = False) -> "Floats":
+    def behind(self, values: "Floats", outermost: bool = False, unit: bool = False) -> "Floats":
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
-        of what is nearest to the camera, or of what is outermost."""
+        of what is nearest to the camera, or of what is outermost; unit: scaled to length 1."""
         triangle, place, _ = self._outermost if outermost and self.folded else self._nearest
-        values = np.ascontiguousarray(values)  # `blend` would be compiled again for another memory layout
-        return blend(self._behind(triangle, place), values).reshape(*triangle.shape, -1)
+        return blend(self._behind(triangle, place), values, unit).reshape(*triangle.shape, -1)
 
     @property
     def hits(self) -> Hits:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.base.compiled import njit
+from tacgen.physics import filters, runtime
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,8 +20,11 @@ def blur(picture: "Floats", sd: float, truncate: float = 4.0, across: float | No
     are averaged together.
     """
     picture = np.ascontiguousarray(picture, dtype=np.float64)
-    down = weights(sd, truncate)
-    return np.asarray(_blur(picture, down, down if across is None else weights(across, truncate)))
+    (h, w, count), down = picture.shape, weights(sd, truncate)
+    along = down if across is None else weights(across, truncate)
+    out, line = np.empty(picture.shape), np.empty(h * (w + 2 * len(along) - 2) * count)
+    runtime.call(filters.blurred, (h,), picture.reshape(-1), down, along, h, w * count, count, line, out.reshape(-1))
+    return out
 
 
 def weights(sd: float, truncate: float = 4.0) -> "Floats":
@@ -29,27 +32,3 @@ def weights(sd: float, truncate: float = 4.0) -> "Floats":
     x = np.arange(int(truncate * sd + 0.5) + 1)
     each = np.exp(-0.5 * (x / sd) ** 2)
     return np.asarray(each / (2 * each.sum() - each[0]))
-
-
-@njit(cache=True)
-def _blur(picture: "Floats", down: "Floats", across: "Floats") -> "Floats":
-    """Down and then across, by weights (n,) of the distances 0 to n - 1 [px]."""
-    (h, w, c), reach = picture.shape, len(across) - 1
-    out, line = np.empty((h, w * c)), np.empty((w + 2 * reach) * c)
-    rows, middle = picture.reshape(h, w * c), line[reach * c : (reach + w) * c]
-    for y in range(h):
-        for i in range(w * c):
-            middle[i] = down[0] * rows[y, i]
-        for k in range(1, len(down)):
-            above, below = rows[max(y - k, 0)], rows[min(y + k, h - 1)]
-            for i in range(w * c):
-                middle[i] += down[k] * (above[i] + below[i])
-        for i in range(reach * c):
-            line[i], line[(reach + w) * c + i] = middle[i % c], middle[(w - 1) * c + i % c]
-        for i in range(w * c):
-            out[y, i] = across[0] * middle[i]
-        for k in range(1, reach + 1):
-            before, after = line[(reach - k) * c :], line[(reach + k) * c :]
-            for i in range(w * c):
-                out[y, i] += across[k] * (before[i] + after[i])
-    return out.reshape(h, w, c)

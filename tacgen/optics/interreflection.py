@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.base.compiled import njit
 from tacgen.optics import coating, housing, strip_light
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Untouched
+from tacgen.physics import coat
+from tacgen.physics.coat import NORMAL_TERMS
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,7 +32,6 @@ COAT_PATCH_SPACING_MM = 1.4  # distance between the centres of the coating's pat
 WALL_PATCH_SPACING_MM = 2.2  # the same for the walls [mm]
 NORMAL_DIFFERENCE = 0.6  # change of a normal's x or y in the difference quotients of the polynomial [-]
 PATCH_REFINEMENT = 4  # refinement of the patches by cubic splines, before linear interpolation to pixels
-NORMAL_TERMS = 5  # terms of the polynomial in the change of the normal: 1, x, y, x^2, y^2
 
 
 @dataclass(frozen=True)
@@ -44,25 +45,9 @@ class Glow:
         """Radiance (n, 3) of a coat without markers with `normal` (samples, 3), at the samples `index` (n,), or at all;
         0 where there is no gel, so that the normal is nan."""
         index = np.arange(len(normal)) if index is None else index
-        return np.asarray(_turned(self.terms, normal, self.untouched, index))
-
-
-@njit(cache=True)
-def _turned(
-    terms: "NDArray[np.float32]", normal: "Floats", untouched: "Floats", index: "NDArray[np.int64]"
-) -> "Floats":
-    """Glow.at, of terms (samples, NORMAL_TERMS, 3) and the sideways parts of untouched normals (samples, 2)."""
-    out = np.zeros((len(index), 3))
-    for k in range(len(index)):
-        i = index[k]
-        if np.isnan(normal[i, 2]):
-            continue
-        dx = min(max(normal[i, 0] - untouched[i, 0], -1.5 * NORMAL_DIFFERENCE), 1.5 * NORMAL_DIFFERENCE)
-        dy = min(max(normal[i, 1] - untouched[i, 1], -1.5 * NORMAL_DIFFERENCE), 1.5 * NORMAL_DIFFERENCE)
-        for c in range(3):
-            one, x, y, xx, yy = terms[i, 0, c], terms[i, 1, c], terms[i, 2, c], terms[i, 3, c], terms[i, 4, c]
-            out[k, c] = max(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0)
-    return out
+        out = np.empty((len(index), 3))
+        call(coat.glow, (len(index),), self.terms, self.untouched, normal, index, out)
+        return out
 
 
 class Radiosity:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.base.compiled import njit
 from tacgen.optics.gaussian import blur
 from tacgen.optics.surface_grid import Untouched
+from tacgen.physics import filters, runtime
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 THICKNESS_SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)
 # standard deviation of a Gaussian over the side of the blocks to whose means it is applied [-]
 GAUSSIAN_STD_PER_BLOCK = 4.0
-MARGIN_BLOCKS = 2  # blocks around a picture that the splines need
 CURVE_POINTS = 4096  # points of a tabulated curve
 CALIBRATION_DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, of the dent for `fitted_reach` [-]
 
@@ -90,8 +89,12 @@ def averaged(share: "Floats", reach: float) -> "Floats":
     if n == 1:
         return blur(share[..., None], reach, truncate=3.0)[..., 0]
     own = np.sqrt(reach**2 - (n * n - 1) / 12 - n * n / 3) / n
-    coarse = blur(_means(share, n)[..., None], own, truncate=3.0)[..., 0]
-    return np.asarray(_spread(coarse, _splines(n), share.shape))
+    means = np.empty([2 * filters.MARGIN_BLOCKS - (-side // n) for side in share.shape])
+    runtime.call(filters.means, means.shape[:1], share, n, means)
+    coarse = blur(means[..., None], own, truncate=3.0)[..., 0]
+    down, out = np.empty((len(share), means.shape[1])), np.empty(share.shape)
+    runtime.call(filters.spread, out.shape[:1], coarse, _splines(n), down, out)
+    return out
 
 
 def fitted_reach(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
@@ -138,7 +141,9 @@ class Tabulated:
 
     def at(self, x: "Floats") -> "Floats":
         """Values (n, 3) at x (n,); 1 where it is nan."""
-        return np.asarray(_interpolated(x, self.first, self.step, self.values))
+        out = np.empty((len(x), 3))
+        runtime.call(filters.tabulated, x.shape, x, self.first, self.step, self.values, out)
+        return out
 
 
 @lru_cache(maxsize=4)
@@ -147,54 +152,11 @@ def tabulated(response: "ThicknessResponse") -> Tabulated:
     return Tabulated.of(partial(gain, response), response.change_mm[0], response.change_mm[-1])
 
 
-@njit(cache=True)
-def _interpolated(x: "Floats", first: float, step: float, values: "Floats") -> "Floats":
-    out, last = np.ones((len(x), 3)), len(values) - 1
-    for i in range(len(x)):
-        if not np.isnan(x[i]):
-            at = min(max((x[i] - first) / step, 0.0), last - 1e-9)
-            k = int(at)
-            for c in range(3):
-                out[i, c] = values[k, c] + (at - k) * (values[k + 1, c] - values[k, c])
-    return out
-
-
-@njit(cache=True)
-def _means(picture: "Floats", n: int) -> "Floats":
-    """Means over blocks of n x n pixels of a picture (h, w) and of MARGIN_BLOCKS blocks around it, where its edge goes
-    on.
-    """
-    h, w = picture.shape
-    out = np.zeros((2 * MARGIN_BLOCKS - (-h // n), 2 * MARGIN_BLOCKS - (-w // n)))
-    for y in range(n * out.shape[0]):
-        row = min(max(y - MARGIN_BLOCKS * n, 0), h - 1)
-        for x in range(n * out.shape[1]):
-            out[y // n, x // n] += picture[row, min(max(x - MARGIN_BLOCKS * n, 0), w - 1)]
-    return out / (n * n)
-
-
 def _splines(n: int) -> "Floats":
     """Weights (n, 4) at each of n pixels along a block of the cubic B-splines of the four blocks that reach it."""
     f = ((np.arange(n) + 0.5) / n - 0.5) % 1.0  # from the nearest block's centre before the pixel
     g = 1.0 - f
     return np.column_stack([g**3 / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f**3 / 6])
-
-
-@njit(cache=True)
-def _spread(coarse: "Floats", weights: "Floats", shape: tuple[int, int]) -> "Floats":
-    """A picture (h, w) by splines on blocks of n x n pixels (see `_means`, `_splines`), first down and then across."""
-    n, columns = len(weights), coarse.shape[1]
-    down, out = np.zeros((shape[0], columns)), np.zeros(shape)
-    for y in range(shape[0]):
-        first = (2 * y + 1 - n) // (2 * n) - 1 + MARGIN_BLOCKS
-        for m in range(4):
-            for x in range(columns):
-                down[y, x] += weights[y % n, m] * coarse[first + m, x]
-        for x in range(shape[1]):
-            first = (2 * x + 1 - n) // (2 * n) - 1 + MARGIN_BLOCKS
-            for m in range(4):
-                out[y, x] += weights[x % n, m] * down[y, first + m]
-    return out
 
 
 def gains(response: "ThicknessResponse", change: "Floats", mm_per_px: float) -> "Floats":

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from tacgen.base.compiled import njit
+from tacgen.physics import faces
+from tacgen.physics.runtime import call
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -105,10 +106,10 @@ class Sheet:
         return np.asarray(self.rest / self.size + 0.5)
 
     @cached_property
-    def faces(self) -> "NDArray[np.uint32]":
+    def faces(self) -> "NDArray[np.int32]":
         """Triangles (2 cells, 3), wound so that their normals point at the camera (-z)."""
         columns, rows = map(len, self.lines)
-        i = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
+        i = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
         a, b, c, d = i[:-1, :-1].ravel(), i[:-1, 1:].ravel(), i[1:, 1:].ravel(), i[1:, :-1].ravel()
         return np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
 
@@ -128,40 +129,14 @@ class Sheet:
 
     def normals(self, now: "Floats") -> "Floats":
         """Unit normals toward the camera (nodes, 3) of node positions (nodes, 3), by central differences."""
-        return unit(self._spans(now))
+        return self._spans(now, True)
 
     def areas(self, now: "Floats") -> "Floats":
         """Area of the face per node [mm^2], (nodes,); at the sheet's edge twice that of the half cell there."""
-        return np.asarray(np.linalg.norm(self._spans(now), axis=1))
+        return np.asarray(np.linalg.norm(self._spans(now, False), axis=1))
 
-    def _spans(self, now: "Floats") -> "Floats":
+    def _spans(self, now: "Floats", unit: bool) -> "Floats":
         columns, rows = map(len, self.lines)
-        return np.asarray(_spans(now.reshape(rows, columns, 3)).reshape(-1, 3))
-
-
-@njit(cache=True)
-def unit(vectors: "Floats") -> "Floats":
-    """Vectors (n, 3), which are overwritten, scaled to length 1."""
-    for i in range(len(vectors)):
-        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-        scale = 1.0 / np.sqrt(x * x + y * y + z * z)
-        vectors[i, 0], vectors[i, 1], vectors[i, 2] = scale * x, scale * y, scale * z
-    return vectors
-
-
-@njit(cache=True)
-def _spans(grid: "Floats") -> "Floats":
-    """Products of the differences (rows, columns, 3) down and across a grid: central, and one-sided at its edge."""
-    rows, columns, _ = grid.shape
-    out, down, across = np.empty(grid.shape), np.empty(3), np.empty(3)
-    for i in range(rows):
-        above, below = max(i - 1, 0), min(i + 1, rows - 1)
-        for j in range(columns):
-            left, right = max(j - 1, 0), min(j + 1, columns - 1)
-            for k in range(3):
-                down[k] = (grid[below, j, k] - grid[above, j, k]) / (below - above)
-                across[k] = (grid[i, right, k] - grid[i, left, k]) / (right - left)
-            for k in range(3):
-                a, b = (k + 1) % 3, (k + 2) % 3
-                out[i, j, k] = down[a] * across[b] - down[b] * across[a]
-    return out
+        out = np.empty((len(now), 3))
+        call(faces.spans, (1, rows, 1), now, rows, columns, 1, unit, out)
+        return out

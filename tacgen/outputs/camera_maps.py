@@ -7,7 +7,6 @@ import numpy as np
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
 from tacgen.optics.drawn_face import DrawnFace
-from tacgen.optics.surface_grid import unit
 from tacgen.outputs.gel_surface import GelSurface
 
 if TYPE_CHECKING:
@@ -43,8 +42,7 @@ class View(DrawnFace):
 
     def normals(self) -> Array:
         """Unit normals (h, w, 3), out of the gel."""
-        mean = self.behind(-self.facing, outermost=True)
-        return np.asarray(unit(mean.reshape(-1, 3)).reshape(mean.shape))
+        return self.behind(-self.facing, outermost=True, unit=True)
 
     def gap(self, shape: Shape, pose: Array) -> Array:
         """Distance (h, w) [mm] between the face and the indenter at a pose (4, 4).

@@ -17,7 +17,6 @@ from tacgen.fem.elements import (
 from tacgen.fem.elements import triangles as pieces
 from tacgen.geometry.rasterize import hits
 from tacgen.mechanics import Problem, State
-from tacgen.optics.surface_grid import unit
 from tacgen.outputs.gel_surface import GelSurface
 
 if TYPE_CHECKING:
@@ -165,7 +164,7 @@ class Shares:
         contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)
         touched, self.sharpenings = np.asarray(on.any(1)), SHARPENING_STEPS[contact.conn.shape[1]]
         facets, kind = surface.facets, surface.facets.shape[1]
-        triangles = pieces(facets).astype(np.uint32, order="C")  # as in a Sheet: `hits` is compiled for it
+        triangles = pieces(facets).astype(np.int32, order="C")
         screen, corner = camera.project(surface.now), surface.now[triangles]  # (t, 3, 3)
         hit, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
         gel = np.asarray(hit >= 0)
@@ -217,7 +216,8 @@ class Shares:
 
     def normals(self, surface: GelSurface) -> Array:
         """Unit normals (p, 3) of the smooth face behind each of the pixels."""
-        return unit(self.at(surface.normals))
+        mean = self.at(surface.normals)
+        return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True))
 
     def shared(self, per_point: Array) -> Array:
         """Forces at the points per area of the face (p, c), in proportion to the weights; of a node that is partly out

@@ -22,9 +22,14 @@ BATCHES = "tacgen.batches"  # of kernels of many scenes alone, which a core runs
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
 KERNEL_FILES = {
-    MODULE: ("assembly", "contact", "distances", "edges", "elements", "jacobian", "tangents"),
+    MODULE: (
+        *("assembly", "contact", "distances", "edges", "elements", "interpolation", "jacobian", "raster", "tangents"),
+    ),
     BATCHES: ("facets", "steps"),
-    OPTICS: tuple[str, ...](),
+    OPTICS: (
+        *("coat", "faces", "filters", "noise", "pictures", "response", "sampling", "shadows", "strip_columns"),
+        *("strips", "taxim"),
+    ),
 }
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
@@ -46,6 +51,11 @@ def load(module: str, device: str) -> None:
     if device != "cpu":
         wp.load_module(module, device)
         return
+    wp.set_module_options({"block_dim": 1}, wp.get_module(module))  # as `wp.launch` on a core
+    if module == OPTICS:
+        from tacgen.physics import COMPILER_FLAGS
+
+        wp.set_module_options({"cpu_compiler_flags": COMPILER_FLAGS + " -ffp-contract=fast"}, wp.get_module(module))
     file, key = compiled.folder() / f"{module}.entry", wp.get_module(module).hash_module().hex()
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
@@ -145,7 +155,7 @@ _threads = threading.local()
 
 
 def call(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
-    """As `launch`, on a core, on arrays of NumPy; launches on arrays of the same shapes are prepared once."""
+    """As `launch`, on a core, on arrays of NumPy; launches on arrays of the same types are prepared once."""
     if not hasattr(_threads, "launches"):
         _threads.launches = Launches()
     _threads.launches(kernel, dim, *values)

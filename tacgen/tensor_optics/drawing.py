@@ -1,21 +1,20 @@
-"""Pictures of many faces at once, by the light and camera of a sensor, on a GPU."""
+"""Pictures of many faces at once, by the light and camera of a sensor, on a GPU, by PyTorch and Warp."""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
 import torch
-import triton
 from torch import Tensor
 
 from tacgen.optics import camera_response, coating
 from tacgen.optics.direct_light import Direct
 from tacgen.optics.gaussian import weights
-from tacgen.optics.interreflection import NORMAL_DIFFERENCE, Glow
-from tacgen.optics.shadows import LARGE_BLOCK_CELLS, SMALL_BLOCK_CELLS
-from tacgen.optics.strip_light_table import MAX_NORMAL_Z
-from tacgen.tensor_optics import gpu_light, gpu_noise, gpu_response
-from tacgen.tensor_optics.gpu_faces import FaceDrawer
+from tacgen.optics.interreflection import Glow
+from tacgen.physics import pictures, response
+from tacgen.physics.runtime import launch
+from tacgen.tensor_optics import noise
+from tacgen.tensor_optics.faces import FaceDrawer
 
 Array = np.ndarray
 SINGLE_TYPE, DOUBLE_TYPE = torch.float32, torch.float64
@@ -23,10 +22,10 @@ SINGLE_TYPE, DOUBLE_TYPE = torch.float32, torch.float64
 
 class Drawing:
     """Pictures as render.images.Renderer makes them by `transport` in a clear gel with a ray a pixel, of many faces in
-    some ten launches.
+    some fifteen launches.
 
-    Light is computed for every sample, not interpolated between some, in single precision. Nothing depends on the order
-    in which a GPU works: the same faces, the same bytes.
+    Light is computed for every sample, not interpolated between some. Nothing depends on the order in which a GPU
+    works: the same faces, the same bytes.
     """
 
     def __init__(self, direct: Direct, glow: Glow, stray: "Array | None", texture: "Array | None", device: str) -> None:
@@ -35,77 +34,71 @@ class Drawing:
         Raises:
             ValueError: more than one ray a pixel, or a sheet of a part of the pad.
         """
-        view, columns = direct.view, direct.columns
+        view, columns, eye = direct.view, direct.columns, direct.sensor.camera
         if view.samples != 1:
             raise ValueError("a picture with one ray a pixel is needed")
         self._sensor, self._device, self._shape = direct.sensor, device, view.camera.shape
-        self._faces = FaceDrawer(direct.sheet, view.camera, direct.untouched, device)
-        self._sheet, self._markers = direct.sheet, view.markers
-        self._rest = on(device, direct.sheet.rest, SINGLE_TYPE)
-        self._toward, self._passed = (
-            on(device, direct.toward, SINGLE_TYPE),
-            on(device, direct.transmission, SINGLE_TYPE),
-        )
-        self._table, self._lamps, self._mirror = (
-            on(device, columns.light, SINGLE_TYPE),
-            len(columns.middle),
-            columns.mirror,
-        )
-        self._middle, self._strip = on(device, columns.middle, SINGLE_TYPE), on(device, columns.strip, torch.int32)
-        self._corner = on(device, np.concatenate([columns.lowest, columns.step]), SINGLE_TYPE)
-        matt, gloss = (np.pad(each, ((0, 0), (0, 6 - each.shape[1]))) for each in direct.shares())
-        self._matt, self._gloss = on(device, matt, SINGLE_TYPE), on(device, gloss, SINGLE_TYPE)
-        self._glow, self._level = on(device, glow.terms, SINGLE_TYPE), on(device, glow.untouched, SINGLE_TYPE)
-        coat = self._sensor.coating
-        paint = np.full(3, self._markers.albedo if self._markers else 0.0)
-        beside = np.zeros(3) if stray is None else stray
-        colours = np.stack([view.change, beside, coating.white(coat), paint])
-        self._colours = on(device, colours, SINGLE_TYPE)
-        self._dots = on(device, np.array(self._markers.row_counts if self._markers else [0]), torch.int32)
-        self._texture = on(device, np.ones((2, 2)) if texture is None else texture, SINGLE_TYPE)
-        self._woven = texture is not None
-        self._camera_parts()
+        self._sheet, self._faces = direct.sheet, FaceDrawer(direct.sheet, view.camera, direct.untouched, device)
 
-    def _camera_parts(self) -> None:
-        """The camera's blur and response as tensors."""
-        eye, device = self._sensor.camera, self._device
+        def double(values: "Array | Sequence[float]") -> Tensor:
+            return on(device, values, DOUBLE_TYPE)
+
+        self._rest, self._toward, self._passed = map(double, (direct.sheet.rest, direct.toward, direct.transmission))
+        matt, gloss = (double(each.reshape(len(each), -1, 3)) for each in direct.shares())
+        coat = self._sensor.coating
+        self._light = (
+            double(columns.middle), on(device, columns.strip, torch.int32), double(columns.grid),
+            on(device, columns.light.reshape(-1), SINGLE_TYPE), columns.light.shape, columns.mirror,
+            matt, gloss, float(coat.roughness if coat.specular else 0.0),
+        )  # fmt: skip
+        self._glow = on(device, glow.terms, SINGLE_TYPE), double(glow.untouched)
+        dots = view.markers
+        colours = np.zeros((4, 3))
+        colours[0], colours[2] = view.change, coating.white(coat)
+        colours[1] = 0.0 if stray is None else stray
+        colours[3] = dots.albedo if dots else 0.0
+        sizes = [] if dots is None else [*dots.spacing_mm, dots.diameter_mm / 2, eye.mm_per_px, *dots.middle_mm]
+        counts = None if dots is None else on(device, np.array(dots.row_counts), torch.int32)
+        pattern = (None, 0, 0) if texture is None else (double(texture.reshape(-1)), *texture.shape)
+        self._coat = double(colours), counts, double(sizes), *pattern
         self._weights = on(device, weights(eye.blur_mm / eye.mm_per_px), SINGLE_TYPE) if eye.blur_mm else None
-        self._fall = on(device, eye.exposure * camera_response.vignette(eye), DOUBLE_TYPE)
-        grain = [0.0] * 7 if eye.noise is None else [*eye.noise.shot, *eye.noise.read, eye.noise.strength]
-        self._grain = on(device, np.array(grain), DOUBLE_TYPE)
-        least, counts = camera_response.steps(eye.response)
-        self._steps, self._counts = on(device, least, DOUBLE_TYPE), on(device, counts, torch.uint8)
-        self._quantiles = on(device, camera_response.quantiles(), SINGLE_TYPE)
+        self._fall, self._grain = double(camera_response.exposed(eye).reshape(-1)), double(camera_response.grain(eye))
+        least, counted = camera_response.steps(eye.response)
+        self._response = (
+            on(device, camera_response.quantiles(), SINGLE_TYPE),
+            double(least),
+            on(device, counted, torch.uint8),
+        )
         height, width = self._shape
         steps = 0 if eye.noise is None else math.ceil(3 * height * width / 4)  # of a generator, for a picture's noise
-        self._jumps = on(device, gpu_noise.jumps(steps), torch.int64)
+        self._jumps = torch.as_tensor(noise.jumps(steps).copy(), device=device)
 
     def radiance(self, nodes: Array) -> Tensor:
         """Linear radiance (F, H, W, 3), before the response, of faces by the positions (F, n, 3) [mm] of the sheet's
         nodes."""
-        faces = self._faces.draw(on(self._device, nodes, DOUBLE_TYPE))
-        (height, width), frames, (rows, columns) = self._shape, len(nodes), self._sheet.shape
-        terrains, eye, dots = faces.terrains, self._sensor.camera, self._markers
-        across, down, radius = (1.0, 1.0, 1.0) if dots is None else (*dots.spacing_mm, dots.diameter_mm / 2)
-        middle = (0.0, 0.0) if dots is None else dots.middle_mm
-        glossy = self._sensor.coating.specular > 0.0
-        out = torch.empty((frames, height, width, 3), dtype=SINGLE_TYPE, device=self._device)
-        gpu_light.light[triton.cdiv(height * width, gpu_light.SAMPLES_PER_PROGRAM), frames](
-            faces.keys, self._faces.triangles, faces.screen, faces.nodes, faces.facing, self._rest,
-            terrains.heights, terrains.small, terrains.large, terrains.extent, self._toward, self._passed,
-            self._table, self._middle, self._strip, self._corner, self._matt, self._gloss, self._glow, self._level,
-            self._dots, self._colours, self._texture, out,
-            height * width, width, nodes.shape[1], rows, columns,
-            *terrains.small.shape[1:], *terrains.large.shape[1:], *map(float, self._sheet.size),
-            *self._table.shape[:3], self._lamps, float(self._mirror), float(self._sensor.coating.roughness),
-            MAX_NORMAL_Z, 1.5 * NORMAL_DIFFERENCE, len(self._dots),
-            math.floor(2 * (radius + eye.mm_per_px / 2) / down) + 1,
-            float(across), float(down), float(radius), float(eye.mm_per_px), *map(float, middle), *self._texture.shape,
-            glossy, 0 if dots is None else 2 if glossy else 1, self._woven, SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS,
-            gpu_light.SAMPLES_PER_PROGRAM,
-            num_warps=1,
+        at = on(self._device, nodes, DOUBLE_TYPE)
+        faces, (height, width), frames = self._faces.draw(at), self._shape, len(nodes)
+        out = torch.empty((frames, height * width, 3), dtype=SINGLE_TYPE, device=self._device)
+        launch(
+            pictures.light, (frames, height * width), faces.keys, self._faces.triangles, faces.screen.reshape(-1, 2),
+            at.reshape(-1, 3), faces.facing.reshape(-1, 3), self._rest, width,
+            *(each.reshape(-1) for each in faces.terrains), *self._sheet.shape, *map(float, self._sheet.size),
+            self._toward, self._passed, *self._light, *self._glow, *self._coat, out,
         )  # fmt: skip
-        return out if self._weights is None else gpu_response.blurred(out, self._weights)
+        return self._blurred(out).reshape(frames, height, width, 3)
+
+    def _blurred(self, pictures: Tensor) -> Tensor:
+        """Pictures (F, H W, 3) averaged down and across."""
+        if self._weights is None:
+            return pictures
+        height, width = self._shape
+        for length, step in ((height, 3 * width), (width, 3)):
+            out = torch.empty_like(pictures)
+            launch(
+                response.averaged, (out.numel(),), pictures.reshape(-1), self._weights, length, step, out.reshape(-1)
+            )
+            pictures = out
+        return pictures
 
     def developed(
         self, radiance: Tensor, random: Sequence[np.random.Generator | None], gains: Sequence["Array | None"]
@@ -116,18 +109,20 @@ class Drawing:
         Raises:
             ValueError: with noise, one is not a PCG64 from which whole outputs were drawn.
         """
-        eye = self._sensor.camera
-        mixes = [camera_response.mix(eye, gain) for gain in gains]
-        drawn = torch.empty((len(radiance), 0), dtype=torch.int16, device=self._device)
+        eye, (frames, height, width, _) = self._sensor.camera, radiance.shape
+        mixes, drawn, numbers = np.array([camera_response.mix(eye, gain) for gain in gains]), None, 0
         if eye.noise is not None and any(each is not None for each in random):
-            drawn = gpu_noise.drawn(on(self._device, gpu_noise.states(random), torch.int64), self._jumps)
-        pictures = gpu_response.counted(
-            radiance, on(self._device, np.array(mixes), DOUBLE_TYPE), self._fall, self._grain, drawn, self._quantiles,
-            self._steps, self._counts,
+            drawn = noise.drawn(torch.as_tensor(noise.states(random).copy(), device=self._device), self._jumps)
+            numbers = drawn.shape[1]
+        out = torch.empty(radiance.shape, dtype=torch.uint8, device=self._device)
+        launch(
+            response.counted_singly, (frames, height * width), radiance.reshape(-1),
+            on(self._device, mixes, DOUBLE_TYPE), self._fall, self._grain, eye.noise.strength if eye.noise else 0.0,
+            None if drawn is None else drawn.reshape(-1), numbers, *self._response, out.reshape(-1),
         )  # fmt: skip
-        return np.asarray(pictures.cpu())
+        return np.asarray(out.cpu())
 
 
-def on(device: str, values: Array, dtype: torch.dtype) -> Tensor:
+def on(device: str, values: "Array | Sequence[float]", dtype: torch.dtype) -> Tensor:
     """An array as a tensor of that type on a device."""
-    return torch.as_tensor(np.ascontiguousarray(values), device=device).to(dtype)
+    return torch.as_tensor(np.array(values), device=device).to(dtype)

@@ -19,7 +19,7 @@ def test_a_turned_face_gets_what_it_would_gather(turn):
     turned = np.ascontiguousarray(np.column_stack([side, -np.sqrt(1 - (side**2).sum(axis=1))]))
     exact = bounce._gather(bounce._patches, len(lit), normals=turned) @ lit
     flat = bounce._gather(bounce._patches, len(lit), normals=np.ascontiguousarray(level)) @ lit
-    terms = np.repeat((bounce._form_factor_terms @ lit).T[:, :, None], 3, axis=2)
+    terms = np.repeat((bounce._form_factor_terms @ lit).T[:, :, None], 3, axis=2).astype(np.float32)
     found = Glow(terms, level[:, :2]).at(turned)
     assert terms.shape[1:] == (NORMAL_TERMS, 3)
     off = np.linalg.norm(found[:, 0] - exact) / np.linalg.norm(exact)

@@ -6,7 +6,6 @@ from helpers.presses import gel, poses, run, scene
 
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.clough_tocher import CloughTocher
-from tacgen.optics.surface_grid import unit
 from tacgen.outputs import contact_rim, gel_surface
 
 Array = np.ndarray
@@ -77,7 +76,8 @@ def test_the_rim_of_a_coarse_mesh_is_that_of_a_finer_one() -> None:
         coated = gel_surface.GelSurface(pressed.problem.mesh.points, pressed.problem.mesh.facets["coated"])
         face = coated.moved(pressed.states[-1].x) if plain else coated.pressed(pressed.problem, pressed.states[-1])
         spans = [face.at(at + by) - face.at(at - by) for by in np.eye(2) * 0.05]
-        return unit(np.cross(*spans))[ring]
+        normals = np.cross(*spans)
+        return (normals / np.linalg.norm(normals, axis=1, keepdims=True))[ring]
 
     oracle, found, before = normals(0.3), normals(EDGE), normals(EDGE, plain=True)
     off, was = (np.degrees(np.sqrt(((one - oracle) ** 2).sum(1).mean())) for one in (found, before))

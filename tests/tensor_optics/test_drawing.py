@@ -1,7 +1,5 @@
-"""Pictures drawn on a GPU are the CPU's; without a GPU by Triton's interpreter."""
+"""Pictures drawn by the batch are the single ones; without a GPU on a core."""
 
-import os
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,21 +7,16 @@ import pytest
 from helpers.needs import needs
 
 torch = needs("torch")
-if not torch.cuda.is_available():
-    os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
-needs("triton")
 
 from helpers.tiny import PLAIN, sensor
-from tensor_engine.compiling import interpreted_and_compiled
 
 from tacgen.optics.adaptive_sampling import SamplingTolerance
 from tacgen.optics.hertz_dent import BallDent
-from tacgen.optics.shadows import LARGE_BLOCK_CELLS, SMALL_BLOCK_CELLS, Terrain, lowest
+from tacgen.optics.shadows import Terrain
 from tacgen.render.images import Clear, Renderer
-from tacgen.tensor_optics import gpu_faces, gpu_light
 from tacgen.tensor_optics.drawing import Drawing
+from tacgen.tensor_optics.faces import terrains
 
-pytestmark = pytest.mark.slow  # the interpreter takes seconds
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 EVERYWHERE = SamplingTolerance(1, 0.0, 0.0)  # no sample is interpolated
 CAMERA = {**PLAIN["camera"], "width_px": 13, "height_px": 9, "mm_per_px": 3.3 * PLAIN["camera"]["mm_per_px"]}
@@ -44,15 +37,6 @@ SENSORS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.fixture(autouse=True)
-def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with interpreted_and_compiled(monkeypatch), np.errstate(all="ignore"):  # beside the gel nothing is a number
-        if DEVICE == "cpu":
-            # the interpreter takes a second for each program
-            monkeypatch.setattr(gpu_light, "SAMPLES_PER_PROGRAM", 128)
-        yield
-
-
 def made(**changes: Any) -> tuple[Renderer, Drawing]:
     """A renderer that computes every sample, and the same on a GPU."""
     lit: Any = sensor(**{"camera": CAMERA, **changes})
@@ -70,7 +54,7 @@ def test_pictures_are_the_cpus(changes: dict[str, Any]) -> None:
     seen = drawing.radiance(np.stack([renderer.sheet.at(face) for face in faces]))
     wanted = np.stack([renderer.image(face) for face in faces])
     assert np.abs(wanted[0] - wanted[1]).max() > 0.1 * wanted.max()  # the dent is seen
-    assert np.abs(seen.cpu().numpy() - wanted).max() < 2e-5 * wanted.max()
+    assert np.abs(seen.cpu().numpy() - wanted).max() < 1e-6 * wanted.max()
 
     def noise() -> list[np.random.Generator]:
         return [np.random.default_rng(k) for k in range(2)]
@@ -81,7 +65,6 @@ def test_pictures_are_the_cpus(changes: dict[str, Any]) -> None:
     assert np.array_equal(pictures, [renderer.develop(*one) for one in each])
 
 
-@pytest.mark.skipif(DEVICE == "cpu", reason="the interpreter draws one after the other")
 def test_a_picture_does_not_depend_on_those_beside_it() -> None:
     renderer, drawing = made()
     nodes = np.stack([renderer.sheet.at(BallDent(2.0, size)) for size in (0.8, 1.2)])
@@ -113,17 +96,16 @@ class _Nodes:
 
 
 @pytest.mark.parametrize("shape", [(9, 17), (12, 41), (105, 127), (2, 2)])
-def test_blocks_of_a_terrain(shape: tuple[int, int]) -> None:
+def test_blocks_of_terrains(shape: tuple[int, int]) -> None:
     """The least of each block, and beyond which blocks nothing casts shadows."""
-    heights = np.random.default_rng(1).normal(size=shape).astype(np.float32)
-    heights[:, : shape[1] // 3] = np.inf
-    wanted = Terrain.of(heights.astype(float), (2.0, 1.0))
-    small = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), SMALL_BLOCK_CELLS)
-    assert np.array_equal(small[0].cpu(), lowest(heights.astype(float), SMALL_BLOCK_CELLS))
-    large = gpu_faces.lowest(torch.as_tensor(heights[None], device=DEVICE), LARGE_BLOCK_CELLS)
-    assert np.array_equal(large[0].cpu(), wanted.large)
-    extent = gpu_faces.extents(small)
-    assert extent[0].tolist() == [wanted.lowest, *wanted.box]
+    heights = np.random.default_rng(1).normal(size=(2, *shape))
+    heights[:, :, : shape[1] // 3] = np.inf
+    made = terrains(torch.as_tensor(heights.reshape(2, -1), device=DEVICE), None, shape)
+    for k in range(2):
+        wanted = Terrain.of(heights[k], (2.0, 1.0))
+        assert np.array_equal(made.small[k].cpu(), wanted.small)
+        assert np.array_equal(made.large[k].cpu(), wanted.large)
+        assert np.array_equal(made.extent[k].cpu(), wanted.extent)
 
 
 def test_more_rays_a_pixel_are_refused() -> None:
