@@ -20,7 +20,6 @@ TESTS ?= tests
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
-export NUMBA_NUM_THREADS ?= 1
 # every process that a test starts would compile what it imports
 unexport PYTHONDONTWRITEBYTECODE
 

@@ -38,7 +38,7 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
     "everything": (", ".join(OUTPUT_NAMES), ()),
 }
 # large packages, which a scene should load only if it needs them
-LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "pytetwild",
+LARGE = ("numpy", "scipy", "warp", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "pytetwild",
          "PyfTetWildWrapper", "trimesh", "igl", "pymeshlab", "torch", "PIL", "distributed")  # fmt: skip
 WARM_UP = (  # a smaller scene that compiles and fills the caches
     "quality={edge_mm: 1.5, dhat_mm: 0.1, spp: 16}",

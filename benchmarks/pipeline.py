@@ -169,7 +169,7 @@ def _first(say: Say) -> Table:
         with tempfile.TemporaryDirectory() as folder:
             for caches in ("empty", "filled"):
                 start = time.time()
-                kept = {"TACGEN_CACHE_DIR": folder, "NUMBA_CACHE_DIR": f"{folder}/numba"}
+                kept = {"TACGEN_CACHE_DIR": folder, "TACGEN_CODE_DIR": f"{folder}/code"}
                 found = in_own_process("benchmarks.pipeline:first", sensor, start, env=kept)
                 whole = [time.time() - start, found["processor"], found["memory"]]
                 rows.append([sensor, caches, *found["to_frame"], *whole])

@@ -11,7 +11,6 @@
 `__all__` lists the public names. Beside them only what docs/API.md describes is public; all else may change.
 """
 
-import os
 from typing import TYPE_CHECKING, Any
 
 from tacgen.base.version import __version__ as __version__
@@ -91,8 +90,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-_threads = os.environ.get("NUMBA_NUM_THREADS", "1")
-if not (_threads.isdecimal() and int(_threads)):  # Numba would not be imported, or print a traceback
-    os.environ["NUMBA_NUM_THREADS"] = "1"

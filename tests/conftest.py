@@ -13,7 +13,7 @@ from tacgen.base.array_cache import cache_folder
 pytest_plugins = ["helpers.processor_time"]
 gc.set_threshold(100_000)  # by the usual 700, a twentieth of the tests' time goes into searching for garbage
 # tests with caches of their own share the compiled code, and so do the processes that they start
-os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder() / "compiled"))
+os.environ.setdefault("TACGEN_CODE_DIR", str(cache_folder() / "code"))
 
 
 @pytest.fixture(scope="session")

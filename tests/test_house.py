@@ -44,7 +44,7 @@ LAYERS = [
 # of a sensor file in hints alone: it runs on anything that holds the same numbers.
 LIBRARIES = {"physics": {"base"}, "fem": {"base", "physics"}, "optics": {"base", "physics", "geometry"}}
 IN_HINTS = {"optics": {"sensor"}}
-ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
+ALLOWED_IN_LIBRARIES = {"numpy", "scipy"}
 TENSORS_OF_BOTH = "physics.runtime"  # launches kernels on arrays of NumPy and of PyTorch
 
 # Heavy packages and where they may be imported, always inside functions.
@@ -98,7 +98,6 @@ WRITERS = {
     **{name: {"np.save", "np.savez"} for name in ("base.array_cache", "batch.solution_file", "export.__init__")},
     "mechanics.ftetwild": {"np.savez"},
     # no files of a user's
-    "base.compiled": {"touch"},  # in the cache
     "physics.runtime": {"write_bytes"},  # in a temporary folder, from which Warp loads code
     "base.regular_file": {"os.open"},  # to read
     "base.terminal": {"os.open"},  # /dev/null
@@ -130,7 +129,7 @@ READERS = {
     # of the installed package, or of the system
     **{name: {"read_text"} for name in ("report.catalogue", "report.html_page", "batch.worker_process")},
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
-    **{name: {"read_bytes"} for name in ("base.compiled", "physics.runtime")},
+    **{name: {"read_bytes"} for name in ("physics.runtime",)},
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EXTENDING.md says
@@ -242,18 +241,6 @@ def test_libraries_need_numerics_only() -> None:
     assert wrong == []
 
 
-def test_the_key_of_compiled_code_covers_all_that_is_compiled_into_it():
-    """Code is kept for one state of COMPILED_PACKAGES: compiled functions stand there, and take constants from there
-    alone.
-    """
-    from tacgen.base.compiled import COMPILED_PACKAGES
-
-    for name, path in files().items():
-        if "@njit" in text_of(path) or "@vectorize" in text_of(path):
-            ours = {layer(module) for module, top in imports(path) if module.startswith("tacgen.") and top}
-            assert {name.split(".")[0], *ours} <= {*COMPILED_PACKAGES, "base"}, name
-
-
 def test_heavy_packages_are_imported_in_their_modules_and_inside_functions() -> None:
     wrong = []
     for name, path in files().items():
@@ -261,7 +248,7 @@ def test_heavy_packages_are_imported_in_their_modules_and_inside_functions() -> 
             package = module.split(".")[0]
             if package in HOMES and name not in HOMES[package]:
                 wrong.append(f"{name} imports {module}")
-            if top and (package in HOMES or (package in ("numpy", "scipy", "numba") and name in NOT_NUMPY)):
+            if top and (package in HOMES or (package in ("numpy", "scipy") and name in NOT_NUMPY)):
                 wrong.append(f"{name} imports {module} at module level")
     assert wrong == []
 
@@ -311,7 +298,7 @@ def command(*args: str) -> str:
     return f"from tacgen.cli.main import app\n{run}"
 
 
-HEAVY = {"numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
+HEAVY = {"numpy", "scipy", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
 
 
 def test_help_imports_no_numerics():

@@ -15,7 +15,7 @@ from tacgen.base import atomic_file, regular_file
 Array = np.ndarray
 MAX_ENTRY_BYTES = 2**31  # largest entry [bytes]
 SEAL_BYTES = hashlib.sha256().digest_size
-_tell: list[Callable[[str], None]] = []  # called with the kind of an entry before it is made
+_listeners: list[Callable[[str], None]] = []  # called with the kind of an entry before it is made
 
 
 def cache_folder() -> Path:
@@ -56,19 +56,24 @@ def kept_bytes(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
     content = read(file, key)
     if content is not None:
         return content
-    for tell in _tell:
-        tell(kind)
+    tell(kind)
     return store(file, key, make())
 
 
 @contextmanager
-def telling(tell: Callable[[str], None]) -> Iterator[None]:
-    """Call `tell` with the kind of each entry that this block has to make, before it is made."""
-    _tell.append(tell)
+def telling(listener: Callable[[str], None]) -> Iterator[None]:
+    """Call the listener with the kind of each entry that this block has to make, before it is made."""
+    _listeners.append(listener)
     try:
         yield
     finally:
-        _tell.remove(tell)
+        _listeners.remove(listener)
+
+
+def tell(kind: str) -> None:
+    """Say that an entry of this kind is made."""
+    for listener in _listeners:
+        listener(kind)
 
 
 def read(file: Path, key: str) -> bytes | None:

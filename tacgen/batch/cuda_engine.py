@@ -337,7 +337,7 @@ def _solve(
     from tacgen.tensor_engine.device import chosen, named
 
     memory, late = chosen(device, share), list[str]()
-    versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba", "warp-lang"))
+    versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "warp-lang"))
     by = f"batch engine on {named(device)}, {versions}"
     try:
         for k, solved, heights in _solutions(rows, plans, device, memory, patient):

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 MIN_NOTED_ERROR = 0.1  # expected error of the force by the mesh [-], above which a run tells it
 WARM_DENT_MM = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 STRESS_OUTPUTS = {"stress", "surface_stress"}  # outputs that need the gel's elements
-TRACED_ENTRIES = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
+# entries of the cache that take long, by the event that tells that they are made; tables come first of a sensor's images
+TOLD_ENTRIES = {compiled.COMPILED_ENTRY: "compiling", "untouched": "tracing", "table": "tracing"}
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
 
@@ -98,7 +99,7 @@ def _attributes(
     if solution is not None and solution.states:
         found["solver"] = solution.engine
     else:
-        versions = (f"{package} {version(package)}" for package in ("numpy", "scipy", "numba", "warp-lang"))
+        versions = (f"{package} {version(package)}" for package in ("numpy", "scipy", "warp-lang"))
         found["solver"] = ", ".join([problem.linear.name, *versions])
     elsewhere = "" if solution is None else solution.why
     if said := [note for note in (coarse, cost, elsewhere, kept_files.note(row), *row.notes) if note]:
@@ -133,17 +134,13 @@ def _make(
 ) -> SceneResult:
     """The work itself, with one BLAS thread: more would add up in another order, and change the bytes."""
 
-    def tell() -> None:
-        if on_event:
-            on_event({"event": "compiling", "scene": row.name})
-
-    def tell_tracing(kind: str) -> None:
-        if on_event and kind in TRACED_ENTRIES:
-            on_event({"event": "tracing", "scene": row.name})
+    def tell(kind: str) -> None:
+        if on_event and kind in TOLD_ENTRIES:
+            on_event({"event": TOLD_ENTRIES[kind], "scene": row.name})
 
     clock = Clock()
-    with compiled.telling(tell), array_cache.telling(tell_tracing):
-        with clock.stage("start"), compiled.once("solve"):
+    with array_cache.telling(tell):
+        with clock.stage("start"):
             mechanics.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
             one_thread = _blas(len(sys.modules)).limit(limits=1, user_api="blas")
         with one_thread, clock.stage("bundle"):
@@ -257,11 +254,10 @@ class Recorder:
             self.shared = _shared(row, self.scene, problem, solution.states if solution else (), device)
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
         images = {k: made.pop(k) for k in OUTPUT_NAMES if k in IMAGE_OUTPUTS & made.keys()}
-        with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first
-            found = _datasets(made, self.shared, clock)
+        found = _datasets(made, self.shared, clock)
         self.pictures: Pictures | None = None
         if images:
-            with clock.stage("render"), compiled.once(_camera(row)):
+            with clock.stage("render"):
                 self.pictures = self.shared.pictures
         found |= kept_files.of(row)
         self.reference = _finite(found | _datasets(images, self.shared, clock))
@@ -351,37 +347,21 @@ def _made(
         return status, reason, done, tuple(recorder.finish(status, reason, notes) for recorder in recorders)
 
 
-def _camera(row: Row) -> str:
-    """Name of the code that a scene's pictures need."""
-    return f"pictures by {row.recipe.render.method}"
-
-
-def _maps(row: Row) -> str:
-    """Name of the code that a scene's other labels need."""
-    return f"maps of {' '.join(sorted(row.recipe.outputs))}"
-
-
 def compile_labels(row: Row, folder: Path, **_: Any) -> None:
-    """Compile what a scene's pictures and maps need, while another process compiles the solver; nothing is written."""
+    """Compile what pictures and maps need, while another process compiles the solver, and make a sensor's tables."""
     from threadpoolctl import threadpool_limits
 
-    from tacgen.outputs import contact_rim
+    from tacgen.physics import runtime
 
+    runtime.load(runtime.OPTICS, "cpu")  # before anything that waits for the solver's code
+    if not row.recipe.outputs & IMAGE_OUTPUTS:
+        return
     with threadpool_limits(1, user_api="blas"):
         built = scene_of_row.build(row)
         shared = _shared(row, built, mechanics.Problem.of(built, mesh.of(built)))
         dented = shared.problem.mesh.points.copy()
         dented[:, 2] -= WARM_DENT_MM * np.exp(-np.square(dented).sum(1))
-        moved = shared.printed.moved(dented)
-        if row.recipe.outputs & IMAGE_OUTPUTS:
-            with compiled.once(_camera(row)):
-                shared.pictures.radiance(moved)
-        with compiled.once(_maps(row)):
-            shared.drawn(moved).normals()
-            far = np.arange(40.0)  # of some points, to compile what draws the rim of a contact
-            contact_rim.openings(np.column_stack([np.cos(far), far, far])[:, :2], far, far < 10, 10.0)
-            if row.recipe.outputs & STRESS_OUTPUTS:
-                shared.stresses.at(dented, shared.problem.elastic)
+        shared.pictures.radiance(shared.printed.moved(dented))
 
 
 def run(

@@ -15,7 +15,7 @@ from typing import Any
 
 from tacgen.recipe.row import Row
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 WORKER_GB = 1.0  # assumed memory of a worker for `--workers auto`; most scenes at `default` need half of it
 WORKER_START_TIMEOUT_S = 300.0  # longest time from start to `ready`, for imports [s]
 PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
@@ -120,7 +120,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _threads() -> dict[str, str]:
-    """Environment variables for threads of BLAS and numba: 1 unless set to a positive number."""
+    """Environment variables for threads of BLAS: 1 unless set to a positive number."""
     said = {name: os.environ.get(name, "") for name in THREAD_VARIABLES}
     return {name: value if value.isdecimal() and int(value) > 0 else "1" for name, value in said.items()}
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 NEEDED_PACKAGES = (
-    *("numpy", "scipy", "numba", "warp-lang", "h5py", "deflate", "pydantic", "ruamel.yaml", "typer", "click"),
+    *("numpy", "scipy", "warp-lang", "h5py", "deflate", "pydantic", "ruamel.yaml", "typer", "click"),
     *("rich", "platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl"),
     *("pytetwild", "mitsuba", "drjit", "OpenEXR"),
 )
@@ -94,9 +94,7 @@ def _hdf5() -> Iterator[Diagnosis]:
 
 def _threads() -> Iterator[Diagnosis]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1  # macOS has none
-    pinned = {name: os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ}
-    note = ", ".join(f"{name}={value}" for name, value in pinned.items()) or "workers pin numba to 1"
-    yield Diagnosis("threads", True, f"{cores} cores; {note}; BLAS has 1 in every scene")
+    yield Diagnosis("threads", True, f"{cores} cores; BLAS has 1 thread in every scene")
 
 
 def _disk() -> Iterator[Diagnosis]:

@@ -3,18 +3,19 @@
 import ctypes
 import importlib
 import math
+import pickle
 import tempfile
 import threading
 import warnings
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from tacgen.base import array_cache, compiled
+from tacgen.base import compiled
 
 Array = np.ndarray
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
@@ -56,20 +57,21 @@ def load(module: str, device: str) -> None:
         from tacgen.physics import COMPILER_FLAGS
 
         wp.set_module_options({"cpu_compiler_flags": COMPILER_FLAGS + " -ffp-contract=fast"}, wp.get_module(module))
-    file, key = compiled.folder() / f"{module}.entry", wp.get_module(module).hash_module().hex()
+    key = f"{wp.get_module(module).hash_module().hex()} {wp.__version__} {compiled.processor()}"
+    name, description, content = pickle.loads(compiled.kept(module, key, partial(_made, module)))
     with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        if (code := array_cache.read(file, key)) is None:
-            with compiled.compiling(), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that the code is of this processor alone: `folder` is, too
-                (path,) = wp.compile_aot_module(module, device="cpu", module_dir=folder)
-            code = path.name.encode() + b"\n" + path.with_name(path.name.split(".cpu")[0] + ".meta").read_bytes()
-            code = array_cache.store(file, key, code + b"\n\n" + path.read_bytes())
-        head, content = code.split(b"\n\n", 1)
-        name, meta = head.split(b"\n", 1)
-        (folder / name.decode()).write_bytes(content)
-        (folder / (name.decode().split(".cpu")[0] + ".meta")).write_bytes(meta)
-        wp.load_aot_module(module, device="cpu", module_dir=folder)
+        (Path(made) / name).write_bytes(content)
+        (Path(made) / (name.split(".cpu")[0] + ".meta")).write_bytes(description)
+        wp.load_aot_module(module, device="cpu", module_dir=made)
+
+
+def _made(module: str) -> bytes:
+    """The machine code of a module for this core: its file's name, Warp's description of it, and its content."""
+    with tempfile.TemporaryDirectory() as made, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that the code is of this processor alone: so is its key
+        (path,) = wp.compile_aot_module(module, device="cpu", module_dir=made)
+        description = path.with_name(path.name.split(".cpu")[0] + ".meta")
+        return pickle.dumps((path.name, description.read_bytes(), path.read_bytes()))
 
 
 def array(values: Any, dtype: Any) -> wp.array:

@@ -185,8 +185,8 @@ def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyP
     assert {f"{name}=1" for name in THREAD_VARIABLES[1:]} | {"OMP_NUM_THREADS=3"} <= set(
         environment.decode().split("\0")
     )
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "0")  # with which numba does not start
-    assert worker_process._threads()["NUMBA_NUM_THREADS"] == "1"
+    monkeypatch.setenv("OMP_NUM_THREADS", "0")
+    assert worker_process._threads()["OMP_NUM_THREADS"] == "1"
 
 
 def test_an_interrupt_is_the_parent_s_alone_from_the_first_moment():

@@ -17,7 +17,6 @@ ODD = {
     "no home": "env -u HOME -u XDG_CACHE_HOME {tacgen} check {data}",
     "a home that cannot be written": "HOME=/proc {tacgen} report {data} -o {out}/report.html",
     "warnings are errors": "PYTHONWARNINGS=error {tacgen} report {data} -o {out}/report.html",
-    "no threads": "NUMBA_NUM_THREADS=0 {tacgen} check {data}",
 }
 REFUSED = {
     "8 file descriptors, solving": ("ulimit -n 8; {tacgen} run {recipe} -o {out}/run", "Too many open files"),
