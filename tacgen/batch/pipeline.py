@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 MIN_NOTED_ERROR = 0.1  # expected error of the force by the mesh [-], above which a run tells it
 WARM_DENT_MM = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 STRESS_OUTPUTS = {"stress", "surface_stress"}  # outputs that need the gel's elements
-# entries of the cache that take long, by the event that tells that they are made; tables come first of a sensor's images
+# entries of the cache that take long, by the event that tells of them; tables come first of a sensor's images
 TOLD_ENTRIES = {compiled.COMPILED_ENTRY: "compiling", "untouched": "tracing", "table": "tracing"}
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
