@@ -1,4 +1,4 @@
-"""Machine code that is kept for the next process: one process compiles it while others wait, and the time is counted."""
+"""Machine code that is kept for the next process: one process compiles it, others wait, and the time is counted."""
 
 import hashlib
 import os

@@ -7,18 +7,13 @@ core.
 
 import warp as wp
 
-from tacgen.physics.laws import real
+from tacgen.physics.types import Ints2, Longs3, Matrices2, Reals, Reals2, Vectors, Vectors2, Vectors3
 
 MIRRORED_ROWS = wp.constant(32)  # rows and columns of blocks that fit into the processor's cache
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def at_points(
-    x: wp.array(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    out: wp.array2d(dtype=wp.vec3d),
-):
+def at_points(x: Vectors, conn: Ints2, N: Reals2, out: Vectors2):
     """Positions (f, q) of the points of facets."""
     f = wp.tid()
     q = int(0)
@@ -33,12 +28,7 @@ def at_points(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def add_forces(
-    forces: wp.array3d(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    out: wp.array2d(dtype=wp.vec3d),
-):
+def add_forces(forces: Vectors3, conn: Ints2, N: Reals2, out: Vectors2):
     """Add forces (f, q, c) at points to the nodes in out (n, c)."""
     f = int(0)
     while f < forces.shape[0]:
@@ -59,7 +49,7 @@ def add_forces(
 
 
 @wp.func
-def block(D: wp.array2d(dtype=wp.mat33d), N: wp.array2d(dtype=real), f: int, a: int, b: int) -> wp.mat33d:
+def block(D: Matrices2, N: Reals2, f: int, a: int, b: int) -> wp.mat33d:
     """The stiffness between two nodes of a facet of those D (f, q) at its points."""
     total = wp.mat33d()
     q = int(0)
@@ -70,12 +60,7 @@ def block(D: wp.array2d(dtype=wp.mat33d), N: wp.array2d(dtype=real), f: int, a: 
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def add_sparse_blocks(
-    D: wp.array2d(dtype=wp.mat33d),
-    N: wp.array2d(dtype=real),
-    slots: wp.array2d(dtype=wp.int32),
-    data: wp.array(dtype=real),
-):
+def add_sparse_blocks(D: Matrices2, N: Reals2, slots: Ints2, data: Reals):
     """Add stiffnesses D (f, q) of points to the entries `data` of a sparse matrix at `slots` (f, 3a*3a), rows and
     columns 3 a + direction; -1: not stored."""
     for f in range(D.shape[0]):
@@ -90,12 +75,7 @@ def add_sparse_blocks(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def add_dense_blocks(
-    D: wp.array2d(dtype=wp.mat33d),
-    N: wp.array2d(dtype=real),
-    dofs: wp.array3d(dtype=wp.int64),
-    K: wp.array2d(dtype=real),
-):
+def add_dense_blocks(D: Matrices2, N: Reals2, dofs: Longs3, K: Reals2):
     """Add stiffnesses D (f, q) of points to the dense K (k, k) at `dofs` (f, a, 3); -1: fixed."""
     f = int(0)
     while f < D.shape[0]:
@@ -116,7 +96,7 @@ def add_dense_blocks(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def mirror(A: wp.array2d(dtype=real)):
+def mirror(A: Reals2):
     """Copy the lower triangle of A (k, k) to the upper one, a row of blocks with each thread."""
     first = wp.tid() * MIRRORED_ROWS
     last = wp.min(first + MIRRORED_ROWS, A.shape[0])

@@ -8,8 +8,8 @@ the slope of the face, from which on it does [-].
 import warp as wp
 
 from tacgen.physics.flat import get
-from tacgen.physics.laws import HALF, ONE, TWO, ZERO, real
 from tacgen.physics.strips import PI, ggx
+from tacgen.physics.types import HALF, ONE, TWO, ZERO, Singles, real
 
 MAX_NORMAL_Z = -1e-3  # largest z component of a normal [-]
 single = wp.float32
@@ -56,8 +56,8 @@ def cell_of(size: wp.vec4i, x: real, y: real, z: real) -> Cell:
 
 @wp.func
 def mixed(
-    table: wp.array(dtype=single), at: int, across: int, down: int, up: int, w00: single, w01: single, w10: single,
-    w11: single, share: single,
+    table: Singles, at: int, across: int, down: int, up: int, w00: single, w01: single, w10: single, w11: single,
+    share: single,
 ) -> single:  # fmt: skip
     """The number of a table that is linear between the number `at` and those beside it, see `Cell`."""
     low = w00 * get(table, at) + w01 * get(table, at + across)
@@ -68,7 +68,7 @@ def mixed(
 
 
 @wp.func
-def between(table: wp.array(dtype=single), o: Cell, c: int) -> single:
+def between(table: Singles, o: Cell, c: int) -> single:
     """Number c of a table at a place, linear."""
     return mixed(table, o.first + c, o.across, o.down, o.up, o.w00, o.w01, o.w10, o.w11, o.share)
 
@@ -83,7 +83,7 @@ def bundle(ex: single, ey: single, ez: single, half: single, nx: single, ny: sin
 
 
 @wp.func
-def bundle_at(table: wp.array(dtype=single), o: Cell, c: int, both: int, n: wp.vec3) -> wp.vec4:
+def bundle_at(table: Singles, o: Cell, c: int, both: int, n: wp.vec3) -> wp.vec4:
     """The bundle of column c of `both`, the direct light's before the reflected's, at a place of the table."""
     x, y, z = between(table, o, c), between(table, o, c + both), between(table, o, c + 2 * both)
     lateral, low, high, turn = bundle(x, y, z, between(table, o, c + 3 * both), n[0], n[1], n[2])

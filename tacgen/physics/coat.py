@@ -3,7 +3,7 @@
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan, put
-from tacgen.physics.laws import real
+from tacgen.physics.types import Ints, Longs, Pairs, Reals, Vectors, real
 
 NORMAL_TERMS = 5  # terms of the glow's polynomial in the change of the normal: 1, x, y, x^2, y^2
 MAX_NORMAL_CHANGE = 0.9  # of a normal's x or y, up to which the glow's polynomial follows it [-]
@@ -12,9 +12,7 @@ Glow = wp.types.matrix(shape=(NORMAL_TERMS, 3), dtype=wp.float32)  # terms of th
 
 
 @wp.func
-def paint_share(
-    x: real, y: real, counts: wp.array(dtype=wp.int32), across: real, down: real, radius: real, edge: real
-) -> real:
+def paint_share(x: real, y: real, counts: Ints, across: real, down: real, radius: real, edge: real) -> real:
     """Share of paint at a rest position [mm] from the middle of rows of `counts` dots, 0 where it is nan.
 
     across, down: the dots' spacing; radius: theirs; edge: width of the blurred rim [mm].
@@ -34,9 +32,7 @@ def paint_share(
 
 
 @wp.func
-def pattern_at(
-    field: wp.array(dtype=real), rows: int, columns: int, across: real, down: real, x: real, y: real
-) -> real:
+def pattern_at(field: Reals, rows: int, columns: int, across: real, down: real, x: real, y: real) -> real:
     """A pattern (rows columns,) over a rectangle about 0 at a rest position [mm], with `across` and `down` of its nodes
     a mm: linear, and constant beyond its nodes."""
     u = wp.clamp(x * across + real(0.5) * real(columns - 1), real(0.0), real(columns - 1))
@@ -68,12 +64,7 @@ def dimming(share: real, change: wp.vec3d) -> wp.vec3d:
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def dim(
-    light: wp.array(dtype=wp.vec3d),
-    share: wp.array(dtype=real),
-    change: wp.array(dtype=wp.vec3d),
-    even: wp.array(dtype=wp.vec3d),
-):
+def dim(light: Vectors, share: Reals, change: Vectors, even: Vectors):
     """Dim light (n,) by shares of paint (n,), see `dimming`, or with a row in `even` (1,) add that, so dimmed."""
     k = wp.tid()
     factor, here = dimming(get(share, k), change[0]), get(light, k)
@@ -84,15 +75,7 @@ def dim(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def paint(
-    xy: wp.array(dtype=wp.vec2d),
-    counts: wp.array(dtype=wp.int32),
-    across: real,
-    down: real,
-    radius: real,
-    edge: real,
-    out: wp.array(dtype=real),
-):
+def paint(xy: Pairs, counts: Ints, across: real, down: real, radius: real, edge: real, out: Reals):
     """Shares of paint (n,) at rest positions (n,) from the dots' middle, see `paint_share`."""
     k = wp.tid()
     here = get(xy, k)
@@ -100,15 +83,7 @@ def paint(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def pattern(
-    field: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    across: real,
-    down: real,
-    xy: wp.array(dtype=wp.vec2d),
-    out: wp.array(dtype=real),
-):
+def pattern(field: Reals, rows: int, columns: int, across: real, down: real, xy: Pairs, out: Reals):
     """A pattern at rest positions (n,), 1 where they are nan, see `pattern_at`."""
     k = wp.tid()
     here = get(xy, k)
@@ -120,13 +95,7 @@ def pattern(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def glow(
-    terms: wp.array(dtype=Glow),
-    untouched: wp.array(dtype=wp.vec2d),
-    normals: wp.array(dtype=wp.vec3d),
-    index: wp.array(dtype=wp.int64),
-    out: wp.array(dtype=wp.vec3d),
-):
+def glow(terms: wp.array(dtype=Glow), untouched: Pairs, normals: Vectors, index: Longs, out: Vectors):
     """Interreflected radiance (n,) at the samples `index` (n,), 0 where the normal is nan."""
     k = wp.tid()
     i = int(get(index, k))

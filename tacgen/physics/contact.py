@@ -8,7 +8,23 @@ frame: rotation (s,) and position (s,).
 import warp as wp
 
 from tacgen.physics.distances import signed_distance
-from tacgen.physics.laws import real
+from tacgen.physics.types import (
+    ONE,
+    TWO,
+    ZERO,
+    Flags3,
+    Ints,
+    Ints3,
+    Matrices,
+    Matrices3,
+    Reals,
+    Reals2,
+    Reals3,
+    Vectors,
+    Vectors2,
+    Vectors3,
+    real,
+)
 
 # gap over dhat below which the barrier is a parabola, so that Newton can start from an overlap [-]
 PARABOLA_GAP_RATIO = 0.5
@@ -23,7 +39,7 @@ ABSENT = wp.constant(real(ABSENT_GAP_MM))
 DEEP = wp.constant(real(MAX_DEPTH_PER_REACH))
 OPPOSED = wp.constant(real(MIN_OPPOSED_COSINE))
 LEAST_SLOPE = wp.constant(real(MIN_SLOPE))
-ZERO, ONE, TWO, THREE = (wp.constant(real(k)) for k in range(4))
+THREE = wp.constant(real(3.0))
 
 
 @wp.func
@@ -53,14 +69,7 @@ def smooth(u: real, eps: real) -> wp.vec3d:
 
 
 @wp.func
-def point(
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array3d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    s: int,
-    f: int,
-    q: int,
-) -> wp.vec3d:
+def point(x: Vectors2, conn: Ints3, N: Reals2, s: int, f: int, q: int) -> wp.vec3d:
     """A quadrature point of a facet."""
     at = wp.vec3d()
     for a in range(N.shape[1]):
@@ -75,13 +84,13 @@ def across(v: wp.vec3d, n: wp.vec3d) -> wp.vec3d:
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def barriers(d: wp.array(dtype=real), dhat: real, out: wp.array(dtype=wp.vec3d)):
+def barriers(d: Reals, dhat: real, out: Vectors):
     k = wp.tid()
     out[k] = barrier(d[k], dhat)
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def slips(u: wp.array(dtype=real), eps: real, out: wp.array(dtype=wp.vec3d)):
+def slips(u: Reals, eps: real, out: Vectors):
     """`smooth` at slip lengths u."""
     k = wp.tid()
     out[k] = smooth(u[k], eps)
@@ -89,20 +98,9 @@ def slips(u: wp.array(dtype=real), eps: real, out: wp.array(dtype=wp.vec3d)):
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def gaps(
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array3d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    areas: wp.array3d(dtype=real),
-    rotation: wp.array(dtype=wp.mat33d),
-    position: wp.array(dtype=wp.vec3d),
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    at: wp.array3d(dtype=wp.vec3d),
-    d: wp.array3d(dtype=real),
-    n: wp.array3d(dtype=wp.vec3d),
-    H: wp.array3d(dtype=wp.mat33d),
-):
+    x: Vectors2, conn: Ints3, N: Reals2, areas: Reals3, rotation: Matrices, position: Vectors, shapes: Reals2,
+    values: Reals, lists: Ints, at: Vectors3, d: Reals3, n: Vectors3, H: Matrices3,
+):  # fmt: skip
     """Points `at` (s, f, q), their distances d from the indenters [mm], gradients n and Hessians H [1/mm] in the
     sensor's frame; without rows in H, n and `at` the distances alone."""
     s, f, q = wp.tid()
@@ -119,24 +117,10 @@ def gaps(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def forces(
-    at: wp.array3d(dtype=wp.vec3d),
-    d: wp.array3d(dtype=real),
-    g: wp.array3d(dtype=wp.vec3d),
-    H: wp.array3d(dtype=wp.mat33d),
-    areas: wp.array3d(dtype=real),
-    kappa: wp.array(dtype=real),
-    dhat: wp.array(dtype=real),
-    offset: wp.array(dtype=real),
-    friction: wp.array(dtype=real),
-    eps: wp.array(dtype=real),
-    anchor: wp.array3d(dtype=wp.vec3d),
-    gap: wp.array3d(dtype=real),
-    normal: wp.array3d(dtype=wp.vec3d),
-    N: wp.array3d(dtype=real),
-    force: wp.array3d(dtype=wp.vec3d),
-    tangent: wp.array3d(dtype=wp.mat33d),
-    definite: wp.array3d(dtype=wp.mat33d),
-):
+    at: Vectors3, d: Reals3, g: Vectors3, H: Matrices3, areas: Reals3, kappa: Reals, dhat: Reals, offset: Reals,
+    friction: Reals, eps: Reals, anchor: Vectors3, gap: Reals3, normal: Vectors3, N: Reals3, force: Vectors3,
+    tangent: Matrices3, definite: Matrices3,
+):  # fmt: skip
     """The parts of mechanics.coupled.ContactForces at points with distance d, its gradient g and Hessian H.
 
     At points that overlap, which no solution has, the tangents omit the rotation of the normal: there, at the start of
@@ -182,27 +166,10 @@ def forces(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def merits(
-    x: wp.array2d(dtype=wp.vec3d),
-    step: wp.array2d(dtype=wp.vec3d),
-    fractions: wp.array2d(dtype=real),
-    conn: wp.array3d(dtype=wp.int32),
-    shape_values: wp.array2d(dtype=real),
-    areas: wp.array3d(dtype=real),
-    rotation: wp.array(dtype=wp.mat33d),
-    position: wp.array(dtype=wp.vec3d),
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    kappa: wp.array(dtype=real),
-    dhat: wp.array(dtype=real),
-    offset: wp.array(dtype=real),
-    friction: wp.array(dtype=real),
-    eps: wp.array(dtype=real),
-    anchor: wp.array3d(dtype=wp.vec3d),
-    normal: wp.array3d(dtype=wp.vec3d),
-    N: wp.array3d(dtype=real),
-    energy: wp.array3d(dtype=real),
-):
+    x: Vectors2, step: Vectors2, fractions: Reals2, conn: Ints3, shape_values: Reals2, areas: Reals3,
+    rotation: Matrices, position: Vectors, shapes: Reals2, values: Reals, lists: Ints, kappa: Reals, dhat: Reals,
+    offset: Reals, friction: Reals, eps: Reals, anchor: Vectors3, normal: Vectors3, N: Reals3, energy: Reals3,
+):  # fmt: skip
     """Energies (s, t, f q) [N mm] of the barrier, and of friction with these normal forces N and normals, at the points
     of x + fraction step."""
     s, t, k = wp.tid()
@@ -226,20 +193,9 @@ def merits(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def ways(
-    before: wp.array2d(dtype=wp.vec3d),
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array3d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    areas: wp.array3d(dtype=real),
-    was_rotation: wp.array(dtype=wp.mat33d),
-    was_position: wp.array(dtype=wp.vec3d),
-    rotation: wp.array(dtype=wp.mat33d),
-    position: wp.array(dtype=wp.vec3d),
-    gap: wp.array3d(dtype=real),
-    start: wp.array3d(dtype=wp.vec3d),
-    step: wp.array3d(dtype=wp.vec3d),
-    length: wp.array3d(dtype=real),
-):
+    before: Vectors2, x: Vectors2, conn: Ints3, N: Reals2, areas: Reals3, was_rotation: Matrices, was_position: Vectors,
+    rotation: Matrices, position: Vectors, gap: Reals3, start: Vectors3, step: Vectors3, length: Reals3,
+):  # fmt: skip
     """Points (s, f, q) in the indenter's frame at its pose before, the way of each to where it is now in that frame,
     and the way's length [mm], 0 where it is not longer than the gap before: such a point cannot have touched."""
     s, f, q = wp.tid()
@@ -254,17 +210,9 @@ def ways(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def blocked(
-    start: wp.array3d(dtype=wp.vec3d),
-    step: wp.array3d(dtype=wp.vec3d),
-    length: wp.array3d(dtype=real),
-    parts: wp.array(dtype=real),
-    reach: wp.array(dtype=real),
-    offset: wp.array(dtype=real),
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    through: wp.array3d(dtype=wp.bool),
-):
+    start: Vectors3, step: Vectors3, length: Reals3, parts: Reals, reach: Reals, offset: Reals, shapes: Reals2,
+    values: Reals, lists: Ints, through: Flags3,
+):  # fmt: skip
     """Whether points (s, f, q) pass through the indenter on their `ways`, which are looked at in so many parts (s,);
     see mechanics.tunnelling.blocked."""
     s, f, q = wp.tid()

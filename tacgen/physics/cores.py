@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import warp as wp
 
-from tacgen.physics.laws import real
+from tacgen.physics.types import Reals2, real
 
 FIRST_NUMBER = 1  # of a row of `shapes`; before it the number of the shape
 SMALLEST_LENGTH_MM = 1e-12  # length [mm] below which the direction of a vector is rounding error
@@ -65,7 +65,7 @@ def sign(v: real) -> real:
 
 
 @wp.func
-def sphere(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def sphere(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, A]
     core.closest = wp.vec3d(real(0.0), real(0.0), core.radius)
@@ -74,7 +74,7 @@ def sphere(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
 
 
 @wp.func
-def capsule(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def capsule(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, A]
     half = shapes[s, B] / real(2.0)
@@ -85,7 +85,7 @@ def capsule(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
 
 
 @wp.func
-def torus(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def torus(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, B]
     rho, radial, azimuth = polar(p)
@@ -97,7 +97,7 @@ def torus(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
 
 
 @wp.func
-def cylinder(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def cylinder(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, B]
     rho, radial, azimuth = polar(p)
@@ -114,7 +114,7 @@ def cylinder(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
 
 
 @wp.func
-def box(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def box(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, C]
     x, y = shapes[s, A] / real(2.0) - core.radius, shapes[s, B] / real(2.0) - core.radius
@@ -132,7 +132,7 @@ def box(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
 
 
 @wp.func
-def cone(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def cone(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, B]
     rho, radial, azimuth = polar(p)
@@ -150,7 +150,7 @@ def cone(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
 
 
 @wp.func
-def wedge(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def wedge(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, B]
     half, side, z = shapes[s, C] / real(2.0) - core.radius, sign(p[0]), p[2] - core.radius
@@ -176,7 +176,7 @@ def wedge(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
 
 
 @wp.func
-def core_of(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> Core:
+def core_of(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     """The core of an analytic indenter as seen from a point p in the indenter's frame."""
     kind = int(shapes[s, 0])
     if kind == ShapeNumber.sphere:

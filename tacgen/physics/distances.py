@@ -8,12 +8,12 @@ import warp as wp
 
 from tacgen.physics.cores import TINY, ShapeNumber, core_of
 from tacgen.physics.edges import RADIUS, sharpened
-from tacgen.physics.laws import real
 from tacgen.physics.splines import Distance, spline
+from tacgen.physics.types import Ints, Matrices2, Reals, Reals2, Vectors2, real
 
 
 @wp.func
-def grown(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d, bends: bool) -> Distance:
+def grown(shapes: Reals2, s: int, p: wp.vec3d, bends: bool) -> Distance:
     """Distance from a core offset outward by its radius; see geometry.analytic_sdf."""
     core, out = core_of(shapes, s, p), Distance()
     v = p - core.closest
@@ -30,14 +30,7 @@ def grown(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d, bends: bool) -> D
 
 
 @wp.func
-def signed_distance(
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    s: int,
-    p: wp.vec3d,
-    bends: bool,
-) -> Distance:
+def signed_distance(shapes: Reals2, values: Reals, lists: Ints, s: int, p: wp.vec3d, bends: bool) -> Distance:
     """Distance at p; its Hessian if `bends`."""
     if int(shapes[s, 0]) != ShapeNumber.field:
         return grown(shapes, s, p, bends)
@@ -48,15 +41,7 @@ def signed_distance(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def distances(
-    p: wp.array2d(dtype=wp.vec3d),
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    d: wp.array2d(dtype=real),
-    n: wp.array2d(dtype=wp.vec3d),
-    H: wp.array2d(dtype=wp.mat33d),
-):
+def distances(p: Vectors2, shapes: Reals2, values: Reals, lists: Ints, d: Reals2, n: Vectors2, H: Matrices2):
     """Distances d (s, k) from the indenter of each scene, gradients n and Hessians H; those without rows are left."""
     s, k = wp.tid()
     found = signed_distance(shapes, values, lists, s, p[s, k], H.shape[0] > 0)

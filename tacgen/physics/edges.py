@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from tacgen.physics.laws import real
 from tacgen.physics.splines import CELL, COEFFICIENTS, NODES, ORIGIN, Distance, place, weights
+from tacgen.physics.types import Ints, Ints3, Reals, Reals2, real
 
 MAX_TIED_DISTANCES = 16  # distances that are about as small at one point
 # distance over the radius up to which contact may act [-]: normals and curvatures beyond are the spline's
@@ -28,14 +28,14 @@ Tied = wp.types.matrix(shape=(MAX_TIED_DISTANCES, 3), dtype=real)
 
 
 @wp.func
-def row_of(values: wp.array(dtype=real), triangle: int, row: int) -> wp.vec3d:
+def row_of(values: Reals, triangle: int, row: int) -> wp.vec3d:
     """A corner or a normal of the triangle that begins at this place."""
     i = triangle + 3 * row
     return wp.vec3d(values[i], values[i + 1], values[i + 2])
 
 
 @wp.func
-def closest(values: wp.array(dtype=real), triangle: int, p: wp.vec3d) -> tuple[int, wp.vec3d]:
+def closest(values: Reals, triangle: int, p: wp.vec3d) -> tuple[int, wp.vec3d]:
     """The row of a triangle with the normal at its point closest to p: 3 of the face, 4 5 6 of edges, 7 8 9 of corners;
     and that point. Source: Ericson (2005), Real-Time Collision Detection, 5.1.5."""
     a, b, c = row_of(values, triangle, 0), row_of(values, triangle, 1), row_of(values, triangle, 2)
@@ -62,13 +62,13 @@ def closest(values: wp.array(dtype=real), triangle: int, p: wp.vec3d) -> tuple[i
 
 
 @wp.func
-def edge_of(values: wp.array(dtype=real), triangle: int, row: int) -> wp.vec3d:
+def edge_of(values: Reals, triangle: int, row: int) -> wp.vec3d:
     """The edge with the normal in this row, from its first corner to its second."""
     return row_of(values, triangle, (row - 3) % 3) - row_of(values, triangle, row - 4)
 
 
 @wp.func
-def bend(values: wp.array(dtype=real), triangle: int, row: int, n: wp.vec3d, length: real) -> wp.mat33d:
+def bend(values: Reals, triangle: int, row: int, n: wp.vec3d, length: real) -> wp.mat33d:
     """Hessian of the distance from the point of a triangle that `row` names, `length` away along n."""
     if row == FACE:
         return wp.mat33d()
@@ -81,7 +81,7 @@ def bend(values: wp.array(dtype=real), triangle: int, row: int, n: wp.vec3d, len
 
 
 @wp.func
-def is_lowest(values: wp.array(dtype=real), triangle: int, row: int, n: wp.vec3d) -> bool:
+def is_lowest(values: Reals, triangle: int, row: int, n: wp.vec3d) -> bool:
     """Whether the point of a triangle that `row` names, from which n leads to a point outside, is closest to that of
     all the surface around it. A corner is taken for one that is not."""
     normal = row_of(values, triangle, row)
@@ -97,14 +97,7 @@ def is_lowest(values: wp.array(dtype=real), triangle: int, row: int, n: wp.vec3d
 
 @wp.func
 def nearest(
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    s: int,
-    p: wp.vec3d,
-    begin: int,
-    end: int,
-    gap: real,
+    shapes: Reals2, values: Reals, lists: Ints, s: int, p: wp.vec3d, begin: int, end: int, gap: real
 ) -> tuple[real, int, int, wp.vec3d]:
     """The smallest signed distance from the opened bodies at p, `gap` [mm] from the middle of its cell, whose list is
     from `begin` to `end`: from which triangle, its row, and its closest point."""
@@ -146,17 +139,9 @@ def nearest(
 
 @wp.func
 def rounded(
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    s: int,
-    p: wp.vec3d,
-    begin: int,
-    end: int,
-    gap: real,
-    point: wp.vec3d,
+    shapes: Reals2, values: Reals, lists: Ints, s: int, p: wp.vec3d, begin: int, end: int, gap: real, point: wp.vec3d,
     lowest: Distance,
-) -> Distance:
+) -> Distance:  # fmt: skip
     """The smallest distance, from `point`, where others are nearly as small, above a crease: the normal would jump from
     one face to the other. Each other distance that is lowest on its part of the surface, larger by u < k, lowers it by
 
@@ -200,9 +185,7 @@ def rounded(
 
 
 @wp.func
-def blend(
-    shapes: wp.array2d(dtype=real), values: wp.array(dtype=real), s: int, first: wp.vec3i, t: wp.vec3d
-) -> Distance:
+def blend(shapes: Reals2, values: Reals, s: int, first: wp.vec3i, t: wp.vec3d) -> Distance:
     """The exact distance's share at a point in the cell after node `first`, with its slopes and bends over the cell."""
     out = Distance()
     u0, u1, u2 = weights(t[0])
@@ -231,14 +214,7 @@ def blend(
 
 
 @wp.func
-def sharpened(
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    lists: wp.array(dtype=wp.int32),
-    s: int,
-    p: wp.vec3d,
-    plain: Distance,
-) -> Distance:
+def sharpened(shapes: Reals2, values: Reals, lists: Ints, s: int, p: wp.vec3d, plain: Distance) -> Distance:
     """The distance `plain` of the spline, which near edges passes into the exact one; see exact_edges.SharpField."""
     at, cell, radius = place(shapes, s, p), shapes[s, CELL], shapes[s, RADIUS]
     first = wp.vec3i()
@@ -280,16 +256,9 @@ def sharpened(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def listed(
-    shapes: wp.array2d(dtype=real),
-    values: wp.array(dtype=real),
-    first: wp.array3d(dtype=wp.int32),
-    reach: wp.array(dtype=real),
-    most: real,
-    place: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    near: wp.array(dtype=wp.int32),
-    away: wp.array(dtype=real),
-):
+    shapes: Reals2, values: Reals, first: Ints3, reach: Reals, most: real, place: Ints, counts: Ints, near: Ints,
+    away: Reals,
+):  # fmt: skip
     """Number (m,) of triangles no farther from the middle of each cell, which `first` numbers, than its `reach` (m,),
     at most `most` [mm]; with `place` (m,), where the lists begin, they are written to `near`, and their distances to
     `away`. One thread."""

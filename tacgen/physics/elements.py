@@ -8,7 +8,8 @@ in void cells. `local` is the share of U that is a function of J at each point, 
 
 import warp as wp
 
-from tacgen.physics.laws import J0, TWO_THIRDS, Coefficients, clamped_log, isochoric, real, volumetric
+from tacgen.physics.laws import J0, TWO_THIRDS, Coefficients, clamped_log, isochoric, volumetric
+from tacgen.physics.types import Ints, Ints2, Matrices3, Reals, Reals2, Reals3, Vectors2, Vectors3, Vectors4, real
 
 SMALLEST_J = 1e-9  # J below which the energy is infinite, so that divisions by J do not overflow [-]
 MAX_PREDICTED_RATIO = 2.0  # of the predicted J to the true one, and of the true one to the predicted [-]
@@ -38,14 +39,7 @@ def near(predicted: real, J: real) -> real:
 
 
 @wp.func
-def means(
-    F: wp.array3d(dtype=wp.mat33d),
-    weights: wp.array3d(dtype=real),
-    predicted: wp.array3d(dtype=real),
-    s: int,
-    slot: int,
-    e: int,
-) -> wp.vec3d:
+def means(F: Matrices3, weights: Reals3, predicted: Reals3, s: int, slot: int, e: int) -> wp.vec3d:
     """Volume of a cell, its mean J and the mean of the predicted J, 1 in void cells; without rows in `predicted` the
     two are equal."""
     volume, mean, ahead = real(0.0), real(0.0), real(0.0)
@@ -73,7 +67,7 @@ def piola(F: wp.mat33d, I1: real, w1: real, w2: real, w3: real) -> wp.mat33d:
 
 
 @wp.func
-def corners_of(x: wp.array2d(dtype=wp.vec3d), conn: wp.array2d(dtype=wp.int32), s: int, e: int) -> Corners:
+def corners_of(x: Vectors2, conn: Ints2, s: int, e: int) -> Corners:
     """Positions of the corners of a cell."""
     at = Corners()
     for a in range(conn.shape[1]):
@@ -82,14 +76,7 @@ def corners_of(x: wp.array2d(dtype=wp.vec3d), conn: wp.array2d(dtype=wp.int32), 
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def deformation(
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    B: wp.array4d(dtype=wp.vec3d),
-    slots: wp.array(dtype=wp.int32),
-    step: int,
-    F: wp.array3d(dtype=wp.mat33d),
-):
+def deformation(x: Vectors2, conn: Ints2, B: Vectors4, slots: Ints, step: int, F: Matrices3):
     """F (s, e, q), by `step` threads for each cell: one on a core, one for each point on a GPU."""
     s, e, start = wp.tid()
     at = corners_of(x, conn, s, e)
@@ -102,18 +89,9 @@ def deformation(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def states(
-    F: wp.array3d(dtype=wp.mat33d),
-    weights: wp.array3d(dtype=real),
-    laws: wp.array2d(dtype=Coefficients),
-    slots: wp.array(dtype=wp.int32),
-    local: real,
-    memory: wp.array3d(dtype=wp.mat33d),
-    predicted: wp.array3d(dtype=real),
-    taken: wp.array3d(dtype=wp.mat33d),
-    energy: wp.array2d(dtype=real),
-    J: wp.array3d(dtype=real),
-    stress: wp.array3d(dtype=wp.mat33d),
-):
+    F: Matrices3, weights: Reals3, laws: wp.array2d(dtype=Coefficients), slots: Ints, local: real, memory: Matrices3,
+    predicted: Reals3, taken: Matrices3, energy: Reals2, J: Reals3, stress: Matrices3,
+):  # fmt: skip
     """Energies (s, e) [N mm], inf where a cell is inverted; J (s, e, q), 1 there; weights times P (s, e, q) [N mm].
 
     `stress` without rows: energies alone. With rows in `predicted` and `taken` (rows as `weights`): P with the pressure
@@ -165,13 +143,7 @@ def states(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def corner_forces(
-    stress: wp.array3d(dtype=wp.mat33d),
-    B: wp.array4d(dtype=wp.vec3d),
-    slots: wp.array(dtype=wp.int32),
-    step: int,
-    forces: wp.array3d(dtype=wp.vec3d),
-):
+def corner_forces(stress: Matrices3, B: Vectors4, slots: Ints, step: int, forces: Vectors3):
     """Forces (s, e, a) [N] on the corners of cells of weights times P, by `step` threads for each cell."""
     s, e, start = wp.tid()
     for a in range(start, B.shape[3], step):
@@ -182,12 +154,7 @@ def corner_forces(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def at_nodes(
-    forces: wp.array3d(dtype=wp.vec3d),
-    first: wp.array(dtype=wp.int32),
-    around: wp.array2d(dtype=wp.int32),
-    out: wp.array2d(dtype=wp.vec3d),
-):
+def at_nodes(forces: Vectors3, first: Ints, around: Ints2, out: Vectors2):
     """The sums (s, n) of what the corners of cells have (s, e, a).
 
     The cells and corners of node n are rows first[n] to first[n + 1] of `around` (k, 2), in a fixed order, so that sums
@@ -201,13 +168,7 @@ def at_nodes(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def predictions(
-    F: wp.array3d(dtype=wp.mat33d),
-    to: wp.array3d(dtype=wp.mat33d),
-    taken: wp.array3d(dtype=wp.mat33d),
-    slots: wp.array(dtype=wp.int32),
-    J: wp.array3d(dtype=real),
-):
+def predictions(F: Matrices3, to: Matrices3, taken: Matrices3, slots: Ints, J: Reals3):
     """J (s, e, q) at F = `to`, to first order from J at F, linearised at `taken` (rows as `slots` say)."""
     s, e, q = wp.tid()
     here, C = F[s, e, q], cofactor(taken[slots[s], e, q])
@@ -215,7 +176,7 @@ def predictions(
 
 
 @wp.func
-def mapped(at: Corners, dN: wp.array2d(dtype=wp.vec3d), q: int) -> wp.mat33d:
+def mapped(at: Corners, dN: Vectors2, q: int) -> wp.mat33d:
     """dx/dxi at point q of a cell with corners `at`; dN (q, a)."""
     total = wp.mat33d()
     for a in range(dN.shape[1]):
@@ -224,7 +185,7 @@ def mapped(at: Corners, dN: wp.array2d(dtype=wp.vec3d), q: int) -> wp.mat33d:
 
 
 @wp.func
-def item(items: wp.array2d(dtype=wp.int32), i: int, cells: int) -> wp.vec2i:
+def item(items: Ints2, i: int, cells: int) -> wp.vec2i:
     """A scene (a row of x) and a cell: row i of `items` (k, 2); if it is empty, number i of all cells of all scenes."""
     if items.shape[0] > 0:
         return wp.vec2i(items[i, 0], items[i, 1])
@@ -257,15 +218,7 @@ def hex_bound(at: Corners) -> real:
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def lowest(
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    dN: wp.array2d(dtype=wp.vec3d),
-    rest: wp.array3d(dtype=real),
-    most: wp.array2d(dtype=real),
-    slots: wp.array(dtype=wp.int32),
-    low: wp.array2d(dtype=real),
-):
+def lowest(x: Vectors2, conn: Ints2, dN: Vectors2, rest: Reals3, most: Reals2, slots: Ints, low: Reals2):
     """The lowest J (s, e) of cells at the points of dN (q, a), or a bound of it that is at least J0.
 
     rest (s, e, q): det(dX/dxi); most (s, e): the largest.
@@ -285,17 +238,9 @@ def lowest(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def folds(
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    dN: wp.array2d(dtype=wp.vec3d),
-    rest: wp.array3d(dtype=real),
-    most: wp.array2d(dtype=real),
-    stiffness: wp.array2d(dtype=real),
-    slots: wp.array(dtype=wp.int32),
-    items: wp.array2d(dtype=wp.int32),
-    energy: wp.array(dtype=real),
-    forces: wp.array2d(dtype=wp.vec3d),
-):
+    x: Vectors2, conn: Ints2, dN: Vectors2, rest: Reals3, most: Reals2, stiffness: Reals2, slots: Ints, items: Ints2,
+    energy: Reals, forces: Vectors2,
+):  # fmt: skip
     """The barrier against inversion on cells, see `item`.
 
     Energies (k,) [N mm] and forces on corners (k, a) [N], 0 where no point has a J below J0; without rows in `forces`

@@ -8,7 +8,7 @@ on.
 import warp as wp
 
 from tacgen.physics.flat import get, put
-from tacgen.physics.laws import real
+from tacgen.physics.types import Pairs, Reals, Vectors, real
 
 MAX_NEWTON_STEPS = 50  # of the ray to a point; three or four are usual
 MAX_NEWTON_CHANGE = 1e-8  # of 1 + x, after which x is exact: what remains is of the order of its square [-]
@@ -29,7 +29,7 @@ class Lens:
 
 
 @wp.func
-def lens_of(numbers: wp.array(dtype=real)) -> Lens:
+def lens_of(numbers: Reals) -> Lens:
     """A camera by its numbers (16,), in the order of `Lens`."""
     lens = Lens()
     lens.x = numbers[0]
@@ -48,12 +48,7 @@ def _projected(lanes: int) -> wp.Kernel:
     Lanes = wp.types.vector(length=lanes, dtype=real)
 
     @wp.kernel(enable_backward=False, module="tacgen.optics")
-    def projected(
-        points: wp.array(dtype=wp.vec3d),
-        numbers: wp.array(dtype=real),
-        layers: wp.array(dtype=wp.vec2d),
-        out: wp.array(dtype=wp.vec2d),
-    ):
+    def projected(points: Vectors, numbers: Reals, layers: Pairs, out: Pairs):
         """Places (n,) of points [mm] in a picture [px], pixel centres at +0.5; nan at or behind the pinhole.
 
         layers: thickness [mm] and index of each. Newton's method on the lateral travel, which is increasing and concave
@@ -130,7 +125,7 @@ projected, projected_singly = _projected(POINTS_PER_THREAD), _projected(1)  # fo
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def spans(at: wp.array(dtype=wp.vec3d), rows: int, columns: int, step: int, unit: bool, out: wp.array(dtype=wp.vec3d)):
+def spans(at: Vectors, rows: int, columns: int, step: int, unit: bool, out: Vectors):
     """Products (f rows columns,) of the differences down and across grids of nodes, central and at an edge one-sided:
     normals toward the camera as long as the area per node [mm^2], or of length 1. `step` threads do a row."""
     f, i, before = wp.tid()

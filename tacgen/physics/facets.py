@@ -8,7 +8,20 @@ from typing import Any
 
 import warp as wp
 
-from tacgen.physics.laws import real
+from tacgen.physics.types import (
+    Flags,
+    Flags2,
+    Ints3,
+    Longs,
+    Longs2,
+    Reals,
+    Reals2,
+    Reals3,
+    Reals4,
+    Vectors2,
+    Vectors3,
+    real,
+)
 
 MAX_MOVED_ARRAYS = wp.constant(12)  # in one launch
 Numbers = wp.types.vector(length=MAX_MOVED_ARRAYS, dtype=wp.uint64)  # of each array
@@ -16,16 +29,9 @@ Numbers = wp.types.vector(length=MAX_MOVED_ARRAYS, dtype=wp.uint64)  # of each a
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def moved(
-    slots: wp.array(dtype=wp.int64),
-    which: wp.array(dtype=wp.bool),
-    count: int,
-    into: bool,
-    rows: Numbers,
-    values: Numbers,
-    apart: Numbers,
-    widths: Numbers,
+    slots: Longs, which: Flags, count: int, into: bool, rows: Numbers, values: Numbers, apart: Numbers, widths: Numbers,
     sizes: Numbers,
-):
+):  # fmt: skip
     """Copy the rows at slots to values or, `into` them, the values where they are marked in `which` (s,) or everywhere.
 
     rows, values: the addresses of `count` arrays; of each, `apart`: bytes from one row to the next, and how many
@@ -61,17 +67,9 @@ def copied(source: wp.uint64, target: wp.uint64, k: int, width: int, size: int):
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def near(
-    slots: wp.array(dtype=wp.int64),
-    faces: wp.array2d(dtype=wp.int64),
-    local: wp.array2d(dtype=wp.int64),
-    facets: wp.array2d(dtype=wp.int64),
-    areas: wp.array3d(dtype=real),
-    anchor: wp.array3d(dtype=wp.vec3d),
-    conn: wp.array3d(dtype=wp.int32),
-    area: wp.array3d(dtype=real),
-    anchors: wp.array3d(dtype=wp.vec3d),
-    ends: wp.array3d(dtype=wp.int32),
-):
+    slots: Longs, faces: Longs2, local: Longs2, facets: Longs2, areas: Reals3, anchor: Vectors3, conn: Ints3,
+    area: Reals3, anchors: Vectors3, ends: Ints3,
+):  # fmt: skip
     """For the facets that are numbered in faces (capacity, m), -1 where there is none: conn (s, f, 4) in the numbers
     local (capacity, n) of the nodes of facets (F, 4); areas (s, f, q) of those (capacity, F, q), 0 where there is none;
     anchors (s, f, q); and `ends`, which is -1 before."""
@@ -94,12 +92,7 @@ def near(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
-def at_condensed(
-    slots: wp.array(dtype=wp.int64),
-    x: wp.array2d(dtype=wp.vec3d),
-    numbers: wp.array2d(dtype=wp.int64),
-    out: wp.array2d(dtype=wp.vec3d),
-):
+def at_condensed(slots: Longs, x: Vectors2, numbers: Longs2, out: Vectors2):
     """Rows (s, m) of x (capacity, n) at the first nodes in numbers (capacity, m), 0 where these are -1."""
     s, m = wp.tid()
     slot, value = slots[s], wp.vec3d()
@@ -109,12 +102,7 @@ def at_condensed(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
-def at_nodes(
-    ends: wp.array3d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    forces: wp.array3d(dtype=wp.vec3d),
-    out: wp.array2d(dtype=wp.vec3d),
-):
+def at_nodes(ends: Ints3, N: Reals2, forces: Vectors3, out: Vectors2):
     """Sums (s, n) of forces (s, f, q) at points with shape functions N (q, 4)."""
     s, n = wp.tid()
     total = wp.vec3d()
@@ -128,16 +116,9 @@ def at_nodes(
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def acted(
-    slots: wp.array(dtype=wp.int64),
-    ends: wp.array3d(dtype=wp.int32),
-    N: wp.array3d(dtype=real),
-    active: wp.array2d(dtype=wp.bool),
-    kept: wp.array(dtype=real),
-    wanted: wp.array2d(dtype=wp.bool),
-    step: int,
-    stale: wp.array(dtype=wp.bool),
-    count: wp.array(dtype=wp.int64),
-):
+    slots: Longs, ends: Ints3, N: Reals3, active: Flags2, kept: Reals, wanted: Flags2, step: int, stale: Flags,
+    count: Longs,
+):  # fmt: skip
     """See tensor_engine.condensation.acted; `step` threads a scene."""
     s, lane = wp.tid()
     slot, reduced = slots[s], kept[s] > real(0.0)
@@ -168,17 +149,9 @@ def acted(
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def with_points(
-    K: wp.array3d(dtype=Any),
-    slots: wp.array(dtype=wp.int64),
-    kept: wp.array2d(dtype=wp.int64),
-    place: wp.array2d(dtype=wp.int64),
-    conn: wp.array3d(dtype=wp.int32),
-    ends: wp.array3d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    D: wp.array4d(dtype=real),
-    step: int,
-    out: wp.array3d(dtype=Any),
-):
+    K: wp.array3d(dtype=Any), slots: Longs, kept: Longs2, place: Longs2, conn: Ints3, ends: Ints3, N: Reals2, D: Reals4,
+    step: int, out: wp.array3d(dtype=Any),
+):  # fmt: skip
     """See tensor_engine.reduction.with_points; D (s, f, q, 9). `step` threads a row, each of some columns."""
     s, r, lane = wp.tid()
     slot = slots[s]

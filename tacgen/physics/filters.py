@@ -6,7 +6,7 @@ Pictures are flat, row by row and the values of a pixel together; a thread does 
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan, put
-from tacgen.physics.laws import real
+from tacgen.physics.types import Reals, Reals2, Vectors, real
 
 MARGIN_BLOCKS = 2  # blocks around a picture that the splines need
 MARGIN = wp.constant(MARGIN_BLOCKS)
@@ -14,16 +14,7 @@ BEFORE_LAST = wp.constant(real(1e-9))  # by which a place stays before a table's
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def blurred(
-    picture: wp.array(dtype=real),
-    down: wp.array(dtype=real),
-    across: wp.array(dtype=real),
-    rows: int,
-    size: int,
-    count: int,
-    line: wp.array(dtype=real),
-    out: wp.array(dtype=real),
-):
+def blurred(picture: Reals, down: Reals, across: Reals, rows: int, size: int, count: int, line: Reals, out: Reals):
     """A picture of rows of `size` numbers, `count` a pixel, averaged down and then across by weights (n,) of the
     distances 0 to n - 1 [px]; line: room for a row (rows, size + 2 count (n - 1)) each."""
     y = wp.tid()
@@ -64,7 +55,7 @@ def blurred(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def means(picture: wp.array2d(dtype=real), n: int, out: wp.array2d(dtype=real)):
+def means(picture: Reals2, n: int, out: Reals2):
     """Means over blocks of n x n pixels of a picture (h, w) and of MARGIN_BLOCKS blocks around it, where its edge goes
     on."""
     j = wp.tid()
@@ -88,12 +79,7 @@ def first_block(x: int, n: int) -> int:
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def spread(
-    coarse: wp.array2d(dtype=real),
-    weights: wp.array2d(dtype=real),
-    down: wp.array2d(dtype=real),
-    out: wp.array2d(dtype=real),
-):
+def spread(coarse: Reals2, weights: Reals2, down: Reals2, out: Reals2):
     """A picture (h, w) by splines on blocks of n x n pixels, first down (h, blocks) and then across; weights (n, 4) at
     the pixels along a block of the splines of the four blocks that reach it."""
     y = wp.tid()
@@ -113,9 +99,7 @@ def spread(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def tabulated(
-    x: wp.array(dtype=real), first: real, step: real, values: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec3d)
-):
+def tabulated(x: Reals, first: real, step: real, values: Vectors, out: Vectors):
     """Values (n,) at x (n,) of a curve tabulated from `first` on, linear, constant beyond its ends; 1 where nan."""
     i = wp.tid()
     here, made = get(x, i), wp.vec3d(real(1.0), real(1.0), real(1.0))

@@ -5,7 +5,7 @@ Loops that have no effect on time may index arrays as usual. `while` loops are v
 
 import warp as wp
 
-from tacgen.physics.laws import real
+from tacgen.physics.types import real
 
 
 @wp.func

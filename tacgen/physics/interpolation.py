@@ -6,7 +6,7 @@ See geometry.thin_plate and geometry.clough_tocher for the formulas' sources.
 import warp as wp
 
 from tacgen.physics.flat import get, put
-from tacgen.physics.laws import real
+from tacgen.physics.types import Ints, Pairs, Reals, Triples, real
 
 LEAST_SQUARE = wp.constant(real(1e-300))  # of a distance whose logarithm is taken [mm^2]
 MAX_WEIGHTS, MAX_ORDINATES = 9, 15  # of a triangle: its values and slopes, and the ordinates of its three cubics
@@ -15,7 +15,7 @@ Shares = wp.types.vector(length=MAX_ORDINATES, dtype=real)
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def plate(at: wp.array(dtype=wp.vec2d), known: wp.array(dtype=wp.vec2d), out: wp.array(dtype=real)):
+def plate(at: Pairs, known: Pairs, out: Reals):
     """r^2 log(r) at points (m,) about known ones (n,), and a plane's three functions: (m, n + 3)."""
     i = wp.tid()
     p, n = at[i], known.shape[0]
@@ -32,9 +32,7 @@ def plate(at: wp.array(dtype=wp.vec2d), known: wp.array(dtype=wp.vec2d), out: wp
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def distances(
-    at: wp.array(dtype=wp.vec2d), to: wp.array(dtype=wp.vec2d), box: wp.array(dtype=wp.vec2d), out: wp.array(dtype=real)
-):
+def distances(at: Pairs, to: Pairs, box: Pairs, out: Reals):
     """Distances (n,) from points to the nearest of others (m,) within a box of corners (2,), else infinite."""
     i = wp.tid()
     p, low, high, least = at[i], box[0], box[1], real(wp.inf)
@@ -48,7 +46,7 @@ def distances(
 
 
 @wp.func
-def barycentric(transform: wp.array(dtype=wp.vec2d), t: int, p: wp.vec2d) -> wp.vec3d:
+def barycentric(transform: Pairs, t: int, p: wp.vec2d) -> wp.vec3d:
     """Barycentric coordinates in a triangle by its rows of Delaunay.transform."""
     off = p - get(transform, 3 * t + 2)
     i, j = wp.dot(get(transform, 3 * t), off), wp.dot(get(transform, 3 * t + 1), off)
@@ -56,13 +54,7 @@ def barycentric(transform: wp.array(dtype=wp.vec2d), t: int, p: wp.vec2d) -> wp.
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def ordinates(
-    points: wp.array(dtype=wp.vec2d),
-    simplices: wp.array(dtype=wp.vec3i),
-    neighbors: wp.array(dtype=wp.vec3i),
-    transform: wp.array(dtype=wp.vec2d),
-    out: wp.array(dtype=real),
-):
+def ordinates(points: Pairs, simplices: Triples, neighbors: Triples, transform: Pairs, out: Reals):
     """Bezier ordinates (t, 9, 15) of each weight's function over triangles: at corners, beside them toward the next two
     corners, inside, and across the edges. A thread for each triangle and weight."""
     thread = wp.tid()
@@ -101,15 +93,9 @@ def ordinates(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def cubic_weights(
-    xy: wp.array(dtype=wp.vec2d),
-    number: wp.array(dtype=wp.int32),
-    nodes: int,
-    simplices: wp.array(dtype=wp.vec3i),
-    transform: wp.array(dtype=wp.vec2d),
-    ordinates: wp.array(dtype=real),
-    out: wp.array(dtype=real),
-    columns: wp.array(dtype=wp.int32),
-):
+    xy: Pairs, number: Ints, nodes: int, simplices: Triples, transform: Pairs, ordinates: Reals, out: Reals,
+    columns: Ints,
+):  # fmt: skip
     """Weights (n, 9) of a triangle's three values and of their slopes, alternately along x and y, and their indices
     among the values and slopes of so many nodes; nan and 0 where the number of the triangle is negative."""
     p = wp.tid()
@@ -149,13 +135,7 @@ def cubic_weights(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def weighted(
-    weights: wp.array(dtype=real),
-    columns: wp.array(dtype=wp.int32),
-    nodal: wp.array(dtype=real),
-    count: int,
-    out: wp.array(dtype=real),
-):
+def weighted(weights: Reals, columns: Ints, nodal: Reals, count: int, out: Reals):
     """Sums (n, count) of nodal values and slopes (3s, count) by weights (n, 9) of those in `columns` (n, 9)."""
     p = wp.tid()
     start, first = p * count, p * WEIGHTS

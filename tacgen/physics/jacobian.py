@@ -8,7 +8,7 @@ each part of a divided element.
 
 import warp as wp
 
-from tacgen.physics.laws import real
+from tacgen.physics.types import Flags2, Ints2, Ints3, Reals, Reals2, Reals3, Vectors2, real
 
 MAX_COEFFICIENTS = 27  # of the Jacobian determinant of an element, which the hex has
 MAX_PLACES = wp.constant(4)  # between which a column is linear
@@ -18,14 +18,7 @@ Columns = wp.types.matrix(shape=(3 * MAX_PLACES, 3), dtype=real)  # dx/dxi at th
 
 @wp.func
 def coefficients(
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    nodes: wp.array3d(dtype=wp.int32),
-    columns: wp.array3d(dtype=real),
-    monomial: wp.array3d(dtype=wp.int32),
-    share: wp.array(dtype=real),
-    s: int,
-    e: int,
+    x: Vectors2, conn: Ints2, nodes: Ints3, columns: Reals3, monomial: Ints3, share: Reals, s: int, e: int
 ) -> Bernstein:
     """Bernstein coefficients of the determinant of the map from the reference element."""
     at, out = Columns(), Bernstein()
@@ -59,7 +52,7 @@ def coefficients(
 
 
 @wp.func
-def least(values: Bernstein, share: wp.array(dtype=real)) -> wp.vec2d:
+def least(values: Bernstein, share: Reals) -> wp.vec2d:
     """The smallest coefficient, -inf if one is not finite; and the smallest at a corner, which is a value there."""
     low, corner = real(wp.inf), real(wp.inf)
     k = int(0)
@@ -75,7 +68,7 @@ def least(values: Bernstein, share: wp.array(dtype=real)) -> wp.vec2d:
 
 
 @wp.func
-def divided(whole: Bernstein, pieces: wp.array3d(dtype=real), path: int, depth: int) -> Bernstein:
+def divided(whole: Bernstein, pieces: Reals3, path: int, depth: int) -> Bernstein:
     """Coefficients on a piece of a piece of an element, `depth` deep; digits of `path` say which, the first first."""
     count, size = pieces.shape[0], pieces.shape[1]
     values = whole
@@ -103,18 +96,9 @@ def divided(whole: Bernstein, pieces: wp.array3d(dtype=real), path: int, depth: 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def whole_bounds(
-    rest: wp.array2d(dtype=wp.vec3d),
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    exists: wp.array2d(dtype=wp.bool),
-    nodes: wp.array3d(dtype=wp.int32),
-    columns: wp.array3d(dtype=real),
-    monomial: wp.array3d(dtype=wp.int32),
-    share: wp.array(dtype=real),
-    volume: wp.array2d(dtype=real),
-    low: wp.array2d(dtype=real),
-    attained: wp.array2d(dtype=real),
-):
+    rest: Vectors2, x: Vectors2, conn: Ints2, exists: Flags2, nodes: Ints3, columns: Reals3, monomial: Ints3,
+    share: Reals, volume: Reals2, low: Reals2, attained: Reals2,
+):  # fmt: skip
     """Volumes (s, e) [mm^3] at rest (s, n); the smallest coefficient of J at x (s, n), -inf where it is not finite, and
     the smallest value at a corner. In cells that do not `exist` (s, e), inf; without rows there all do."""
     s, e = wp.tid()
@@ -134,20 +118,9 @@ def whole_bounds(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def divided_bounds(
-    x: wp.array2d(dtype=wp.vec3d),
-    conn: wp.array2d(dtype=wp.int32),
-    nodes: wp.array3d(dtype=wp.int32),
-    columns: wp.array3d(dtype=real),
-    monomial: wp.array3d(dtype=wp.int32),
-    share: wp.array(dtype=real),
-    pieces: wp.array3d(dtype=real),
-    volume: wp.array2d(dtype=real),
-    attained: wp.array(dtype=real),
-    tol: real,
-    deepest: int,
-    most: int,
-    low: wp.array2d(dtype=real),
-):
+    x: Vectors2, conn: Ints2, nodes: Ints3, columns: Reals3, monomial: Ints3, share: Reals, pieces: Reals3,
+    volume: Reals2, attained: Reals, tol: real, deepest: int, most: int, low: Reals2,
+):  # fmt: skip
     """Raise the bounds `low` (s, e) of cells that are more than `tol` below the least value `attained` (s,) in a scene,
     by dividing cells until those of their pieces are not; at most `deepest` times, and not at all those that would have
     more than `most` pieces.

@@ -13,8 +13,8 @@ last of its coefficients, by which `isochoric` and `volumetric` branch.
 
 import warp as wp
 
-real = wp.float64
-ZERO, HALF, ONE, TWO = (wp.constant(real(n)) for n in (0.0, 0.5, 1.0, 2.0))
+from tacgen.physics.types import real
+
 Coefficients = wp.types.vector(length=9, dtype=real)  # c10, c01, c20, c30, raw, kappa, lam, slope [MPa], formula [-]
 TWO_THIRDS = wp.constant(real(2 / 3))
 TEN_NINTHS = wp.constant(real(10 / 9))

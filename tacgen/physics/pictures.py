@@ -8,21 +8,28 @@ import warp as wp
 from tacgen.physics.bundles import MOST_NORMAL, between, bundle_at, cell_of, column_seen, single, wanted
 from tacgen.physics.coat import Glow, dimming, glow_at, paint_share, pattern_at
 from tacgen.physics.flat import get
-from tacgen.physics.laws import HALF, TWO, real
 from tacgen.physics.raster import sides, triangle_of, weights
 from tacgen.physics.shadows import horizon, terrain
 from tacgen.physics.strips import ASIDE, FACING
+from tacgen.physics.types import (
+    HALF,
+    TWO,
+    Ints,
+    Longs2,
+    Pairs,
+    Reals,
+    Reals2,
+    Singles,
+    SingleVectors2,
+    Triples,
+    Vectors,
+    Vectors2,
+    real,
+)
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def heights(
-    keys: wp.array2d(dtype=wp.int64),
-    faces: wp.array(dtype=wp.vec3i),
-    screen: wp.array(dtype=wp.vec2d),
-    nodes: wp.array(dtype=wp.vec3d),
-    columns: int,
-    out: wp.array2d(dtype=real),
-):
+def heights(keys: Longs2, faces: Triples, screen: Pairs, nodes: Vectors, columns: int, out: Reals2):
     """Heights (f, rows columns) [mm] of faces over a grid, by the keys of the triangles there, 0 where none lies."""
     f, k = wp.tid()
     t, z = triangle_of(keys[f, k]), real(0.0)
@@ -37,42 +44,13 @@ def heights(
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def light(
-    keys: wp.array2d(dtype=wp.int64),
-    faces: wp.array(dtype=wp.vec3i),
-    screen: wp.array(dtype=wp.vec2d),
-    nodes: wp.array(dtype=wp.vec3d),
-    facing: wp.array(dtype=wp.vec3d),
-    rest: wp.array(dtype=wp.vec2d),
-    width: int,
-    heights: wp.array(dtype=real),
-    small: wp.array(dtype=real),
-    large: wp.array(dtype=real),
-    extent: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    wide: real,
-    tall: real,
-    toward: wp.array(dtype=wp.vec3d),
-    passed: wp.array(dtype=real),
-    middle: wp.array(dtype=wp.vec3d),
-    strip: wp.array(dtype=wp.int32),
-    grid: wp.array(dtype=wp.vec3d),
-    table: wp.array(dtype=single),
-    size: wp.vec4i,
-    mirror: real,
-    matt: wp.array2d(dtype=wp.vec3d),
-    gloss: wp.array2d(dtype=wp.vec3d),
-    alpha: real,
-    terms: wp.array(dtype=Glow),
-    level: wp.array(dtype=wp.vec2d),
-    colours: wp.array(dtype=wp.vec3d),
-    dots: wp.array(dtype=wp.int32),
-    dot_sizes: wp.array(dtype=real),
-    texture: wp.array(dtype=real),
-    texture_rows: int,
-    texture_columns: int,
-    out: wp.array2d(dtype=wp.vec3),
-):
+    keys: Longs2, faces: Triples, screen: Pairs, nodes: Vectors, facing: Vectors, rest: Pairs, width: int,
+    heights: Reals, small: Reals, large: Reals, extent: Reals, rows: int, columns: int, wide: real, tall: real,
+    toward: Vectors, passed: Reals, middle: Vectors, strip: Ints, grid: Vectors, table: Singles, size: wp.vec4i,
+    mirror: real, matt: Vectors2, gloss: Vectors2, alpha: real, terms: wp.array(dtype=Glow), level: Pairs,
+    colours: Vectors, dots: Ints, dot_sizes: Reals, texture: Reals, texture_rows: int, texture_columns: int,
+    out: SingleVectors2,
+):  # fmt: skip
     """Linear radiance (f, samples) of faces of nodes (f n,) with normals `facing`, by the keys of the triangles behind
     samples; optics.direct_light.Direct.seen, with stray light and the coating's pattern.
 

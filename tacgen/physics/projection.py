@@ -6,7 +6,8 @@ They are known in the principal stretches: three scalings, three flips, three tw
 
 import warp as wp
 
-from tacgen.physics.laws import Derivatives, real
+from tacgen.physics.laws import Derivatives
+from tacgen.physics.types import real
 
 MILD_STRAIN = 0.1  # |F^T F - 1| below which the exact tangent is not projected: it is positive definite near rest [-]
 MILD = wp.constant(real(MILD_STRAIN**2))

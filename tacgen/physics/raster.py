@@ -9,7 +9,7 @@ its number. So the result does not depend on the order in which threads run.
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan, put
-from tacgen.physics.laws import HALF, real
+from tacgen.physics.types import HALF, Flags, Ints, Longs, Pairs, Reals, Triples, real
 
 EDGE_SLACK = (
     -1e-12
@@ -37,7 +37,7 @@ def triangle_of(key: wp.int64) -> int:
 
 
 @wp.func
-def sides(at: wp.array(dtype=wp.vec2d), first: int, face: wp.vec3i) -> wp.mat33d:
+def sides(at: Pairs, first: int, face: wp.vec3i) -> wp.mat33d:
     """A triangle's first node and the ways from it to the second and third, as rows, and as last number twice its area,
     positive where its nodes turn from x to y; `first`: where the frame's nodes begin."""
     a, b, c = get(at, first + face[0]), get(at, first + face[1]), get(at, first + face[2])
@@ -56,14 +56,7 @@ def weights(side: wp.mat33d, x: real, y: real) -> wp.vec2d:
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def rasterized(
-    faces: wp.array(dtype=wp.vec3i),
-    screen: wp.array(dtype=wp.vec2d),
-    near: wp.array(dtype=real),
-    nodes: int,
-    height: int,
-    width: int,
-    keys: wp.array(dtype=wp.int64),
-    turned: wp.array(dtype=wp.int32),
+    faces: Triples, screen: Pairs, near: Reals, nodes: int, height: int, width: int, keys: Longs, turned: Ints
 ):
     """The least keys (f h w,) of the triangles behind each sample, EMPTY before; a thread for each frame and triangle.
 
@@ -105,14 +98,7 @@ def rasterized(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def placed(
-    keys: wp.array(dtype=wp.int64),
-    faces: wp.array(dtype=wp.vec3i),
-    screen: wp.array(dtype=wp.vec2d),
-    width: int,
-    triangle: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec2d),
-):
+def placed(keys: Longs, faces: Triples, screen: Pairs, width: int, triangle: Ints, place: Pairs):
     """Triangles (h w,) of a frame's keys, -1 where none lies, and the weights of their second and third node there."""
     k = wp.tid()
     t = triangle_of(get(keys, k))
@@ -123,15 +109,7 @@ def placed(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def blended(
-    faces: wp.array(dtype=wp.vec3i),
-    triangle: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec2d),
-    values: wp.array(dtype=real),
-    count: int,
-    unit: bool,
-    out: wp.array(dtype=real),
-):
+def blended(faces: Triples, triangle: Ints, place: Pairs, values: Reals, count: int, unit: bool, out: Reals):
     """Values (n, count) at samples of those at nodes (nodes, count), linear on triangles, nan where none lies; unit:
     each row divided by its length."""
     i = wp.tid()
@@ -161,17 +139,9 @@ def blended(
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
 def hidden(
-    faces: wp.array(dtype=wp.vec3i),
-    screen: wp.array(dtype=wp.vec2d),
-    depth: wp.array(dtype=real),
-    at: wp.array(dtype=wp.vec2d),
-    own: wp.array(dtype=real),
-    cell: wp.array(dtype=real),
-    height: int,
-    width: int,
-    slack: real,
-    out: wp.array(dtype=wp.bool),
-):
+    faces: Triples, screen: Pairs, depth: Reals, at: Pairs, own: Reals, cell: Reals, height: int, width: int,
+    slack: real, out: Flags,
+):  # fmt: skip
     """Whether a triangle (t,) lies more than `slack` before points at (n,) of depth `own`, False before.
 
     The points are in the order of their `cell` (n,), floor(y) width + x, all in the picture.

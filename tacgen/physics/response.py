@@ -3,7 +3,7 @@
 import warp as wp
 
 from tacgen.physics.flat import get, put
-from tacgen.physics.laws import real
+from tacgen.physics.types import Bytes, Matrices, Reals, Singles, Vectors, real
 
 RESPONSE_CELLS = 4096  # of the light from 0 to 1: fine enough for no more than one step between counts in each
 CELLS = wp.constant(real(RESPONSE_CELLS))
@@ -25,18 +25,9 @@ def _counted(lanes: int) -> wp.Kernel:
 
     @wp.kernel(enable_backward=False, module="tacgen.optics")
     def counted(
-        radiance: wp.array(dtype=wp.float32),
-        mix: wp.array(dtype=wp.mat33d),
-        fall: wp.array(dtype=real),
-        grain: wp.array(dtype=wp.vec3d),
-        strength: real,
-        drawn: wp.array(dtype=wp.uint16),
-        numbers: int,
-        quantiles: wp.array(dtype=wp.float32),
-        steps: wp.array(dtype=real),
-        counts: wp.array(dtype=wp.uint8),
-        out: wp.array(dtype=wp.uint8),
-    ):
+        radiance: Singles, mix: Matrices, fall: Reals, grain: Vectors, strength: real, drawn: wp.array(dtype=wp.uint16),
+        numbers: int, quantiles: Singles, steps: Reals, counts: Bytes, out: Bytes,
+    ):  # fmt: skip
         """optics.camera_response.develop of pictures (f pixels 3,): counts of light clipped to [0, 1] by `steps` and
         `counts` of a response's cells.
 
@@ -83,13 +74,7 @@ counted, counted_singly = _counted(PIXELS_PER_THREAD), _counted(1)  # for a core
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def averaged(
-    pictures: wp.array(dtype=wp.float32),
-    weights: wp.array(dtype=wp.float32),
-    length: int,
-    step: int,
-    out: wp.array(dtype=wp.float32),
-):
+def averaged(pictures: Singles, weights: Singles, length: int, step: int, out: Singles):
     """Pictures (n,) averaged along one axis of so many entries, `step` numbers apart, by weights of the distances 0 to
     m - 1 as filters.blurred; a thread for each number."""
     k = wp.tid()

@@ -97,24 +97,27 @@ class Launches:
         """
         if 0 in dim:
             return
-        key: list[Any] = [kernel, dim]
+        shapes: list[Any] = [dim]
+        types: list[Any] = [kernel]
         rows = []
         for value in values:
             if isinstance(value, np.ndarray):
                 row = value if value.flags.c_contiguous else np.ascontiguousarray(value)
                 rows.append(row)  # lives until the kernel has run
-                key += row.shape, row.dtype.char
+                shapes.append(row.shape)
+                types.append(row.dtype.char)
             else:
-                key.append(id(value) if isinstance(value, wp.array) else value)
-        asked = tuple(key)
+                types.append(id(value) if isinstance(value, wp.array) else value)
+        of_types = tuple(types)
+        asked = of_types, tuple(shapes)
         run = self._of_shapes.get(asked)
         if run is None:
-            if len(self._of_shapes) == MAX_PREPARED_LAUNCHES:
-                del self._of_shapes[next(iter(self._of_shapes))]
-            types = (kernel, *(part for part in asked[2:] if not isinstance(part, tuple)))
-            if types not in self._of_types:
-                self._of_types[types] = PreparedLaunch(kernel, dim, values)
-            run = self._of_shapes[asked] = self._of_types[types].fitted(dim, rows)
+            for kept in (self._of_shapes, self._of_types):
+                if len(kept) == MAX_PREPARED_LAUNCHES:
+                    del kept[next(iter(kept))]
+            if of_types not in self._of_types:
+                self._of_types[of_types] = PreparedLaunch(kernel, dim, values)
+            run = self._of_shapes[asked] = self._of_types[of_types].fitted(dim, rows)
         run(rows)
 
 

@@ -6,17 +6,11 @@ Cells hold the first and last row and column of samples. The kernels are serial,
 import warp as wp
 
 from tacgen.physics.flat import get, put
-from tacgen.physics.laws import real
+from tacgen.physics.types import Flags, Ints, Longs, Reals, Vectors, real
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def corners(
-    cells: wp.array(dtype=wp.vec4i),
-    known: wp.array(dtype=wp.bool),
-    width: int,
-    out: wp.array(dtype=wp.int64),
-    count: wp.array(dtype=wp.int32),
-):
+def corners(cells: wp.array(dtype=wp.vec4i), known: Flags, width: int, out: Longs, count: Ints):
     """Flat indices (count,) of the corners of cells that are not `known` (h w,) yet; known from then on."""
     found = int(0)
     for m in range(cells.shape[0]):
@@ -32,9 +26,7 @@ def corners(
 
 
 @wp.func
-def straight(
-    normals: wp.array(dtype=wp.vec3d), width: int, cell: wp.vec4i, down: real, across: real, bend: real
-) -> bool:
+def straight(normals: Vectors, width: int, cell: wp.vec4i, down: real, across: real, bend: real) -> bool:
     """Whether all normals of a cell lie within `bend` of their bilinear interpolation; nan does not."""
     top, left = cell[0] * width, cell[2]
     bottom, right = cell[1] * width, cell[3]
@@ -56,7 +48,7 @@ def straight(
 
 
 @wp.func
-def alike(values: wp.array(dtype=real), a: int, b: int, c: int, d: int, count: int, spread: real) -> bool:
+def alike(values: Reals, a: int, b: int, c: int, d: int, count: int, spread: real) -> bool:
     """Whether the `count` values at four places agree within a share."""
     for k in range(count):
         p, q, r, s = values[a + k], values[b + k], values[c + k], values[d + k]
@@ -68,17 +60,9 @@ def alike(values: wp.array(dtype=real), a: int, b: int, c: int, d: int, count: i
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def filled(
-    values: wp.array(dtype=real),
-    known: wp.array(dtype=wp.bool),
-    normals: wp.array(dtype=wp.vec3d),
-    cells: wp.array(dtype=wp.vec4i),
-    width: int,
-    count: int,
-    bend: real,
-    spread: real,
-    left: wp.array(dtype=wp.vec4i),
-    number: wp.array(dtype=wp.int32),
-):
+    values: Reals, known: Flags, normals: Vectors, cells: wp.array(dtype=wp.vec4i), width: int, count: int, bend: real,
+    spread: real, left: wp.array(dtype=wp.vec4i), number: Ints,
+):  # fmt: skip
     """Interpolate values (h w, count) in place, but for what is `known` (h w,), in the cells that allow it; the halves
     of those that do not: left (number,)."""
     found = int(0)

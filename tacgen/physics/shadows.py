@@ -7,7 +7,7 @@ in small and large blocks of cells of the grid, infinite where nothing does.
 import warp as wp
 
 from tacgen.physics.flat import get
-from tacgen.physics.laws import real
+from tacgen.physics.types import Reals, Reals2, Reals3, real
 
 SMALL_BLOCK_CELLS, LARGE_BLOCK_CELLS = 8, 32  # cells along the side of a block
 MIN_SHADOWING_FALL_MM = 0.02  # smallest fall of a place since untouched with which it casts a shadow [mm]
@@ -42,7 +42,7 @@ def blocks(count: int, cells: int) -> int:
 
 
 @wp.func
-def terrain(extent: wp.array(dtype=real), f: int, rows: int, columns: int, wide: real, tall: real) -> Ground:
+def terrain(extent: Reals, f: int, rows: int, columns: int, wide: real, tall: real) -> Ground:
     """The face `f` over a rectangle of sides `wide`, `tall` [mm], by `extent` (5 f,), see `extents`."""
     t = Ground()
     t.rows = rows
@@ -62,19 +62,9 @@ def terrain(extent: wp.array(dtype=real), f: int, rows: int, columns: int, wide:
 
 @wp.func
 def horizon(
-    heights: wp.array(dtype=real),
-    small: wp.array(dtype=real),
-    large: wp.array(dtype=real),
-    t: Ground,
-    x: real,
-    y: real,
-    z: real,
-    dx: real,
-    dy: real,
-    reach: real,
-    above: wp.vec2d,
-    below: wp.vec2d,
-) -> real:
+    heights: Reals, small: Reals, large: Reals, t: Ground, x: real, y: real, z: real, dx: real, dy: real, reach: real,
+    above: wp.vec2d, below: wp.vec2d,
+) -> real:  # fmt: skip
     """Slope (rise per sideways way) of the steepest ray from a point that a face lets pass on its way to a light.
 
     Args:
@@ -148,15 +138,7 @@ def horizon(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def lowest(
-    heights: wp.array(dtype=real),
-    before: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    cells: int,
-    rim: int,
-    out: wp.array3d(dtype=real),
-):
+def lowest(heights: Reals, before: Reals, rows: int, columns: int, cells: int, rim: int, out: Reals3):
     """Least of each block (f, n, m) of `cells` x `cells` entries of grids (f rows columns,), and of the `rim` entries
     beside them right and below; with rows in `before` (rows columns,), of those that have fallen since, else infinite.
     """
@@ -179,7 +161,7 @@ def lowest(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def extents(small: wp.array3d(dtype=real), out: wp.array2d(dtype=real)):
+def extents(small: Reals3, out: Reals2):
     """Least and box (f, 5) of `Ground`, by the least of small blocks (f, n, m); infinite at the grid's edges."""
     f = wp.tid()
     rows, columns = small.shape[1], small.shape[2]

@@ -2,13 +2,13 @@
 
 import warp as wp
 
-from tacgen.physics.laws import real
+from tacgen.physics.types import HALF, Reals, Reals2, real
 
 # numbers of a field in its row of `shapes`: its nodes along each axis, the first node's position [mm], the side of a
 # cell [mm], and where its coefficients begin in `values`
 NODES, ORIGIN, CELL, COEFFICIENTS = (wp.constant(k) for k in (1, 4, 7, 8))
 SIXTH, TWO_THIRDS_OF_ONE = wp.constant(real(1.0 / 6.0)), wp.constant(real(2.0 / 3.0))
-HALF, THREE_HALVES = wp.constant(real(0.5)), wp.constant(real(1.5))
+THREE_HALVES = wp.constant(real(1.5))
 
 
 @wp.struct
@@ -40,14 +40,14 @@ def weights(t: real) -> tuple[wp.vec4d, wp.vec4d, wp.vec4d]:
 
 
 @wp.func
-def place(shapes: wp.array2d(dtype=real), s: int, p: wp.vec3d) -> wp.vec3d:
+def place(shapes: Reals2, s: int, p: wp.vec3d) -> wp.vec3d:
     """A point in cells from the first node."""
     origin = wp.vec3d(shapes[s, ORIGIN], shapes[s, ORIGIN + 1], shapes[s, ORIGIN + 2])
     return (p - origin) / shapes[s, CELL]
 
 
 @wp.func
-def spline(shapes: wp.array2d(dtype=real), values: wp.array(dtype=real), s: int, p: wp.vec3d) -> Distance:
+def spline(shapes: Reals2, values: Reals, s: int, p: wp.vec3d) -> Distance:
     """The distance at p; outside the grid a lower bound, and not a number where p is none."""
     out = Distance()
     at = place(shapes, s, p)

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from tacgen.physics.laws import real
+from tacgen.physics.types import Flags, Ints3, Longs, Longs2, Reals, Reals2, Reals3, real
 
 SMALLEST = wp.constant(real(1e-300))  # so that nothing is divided by 0
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (wp.constant(k) for k in range(5))  # how a scene stands
@@ -26,15 +26,7 @@ def largest(part: real) -> real:
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
-def shrunk(
-    length: wp.array(dtype=real),
-    dhat: wp.array(dtype=real),
-    gap: wp.array(dtype=real),
-    offset: wp.array(dtype=real),
-    drift: wp.array(dtype=real),
-    offsets: wp.array(dtype=real),
-    off: wp.array(dtype=real),
-):
+def shrunk(length: Reals, dhat: Reals, gap: Reals, offset: Reals, drift: Reals, offsets: Reals, off: Reals):
     """Offsets (s,) of indenters shrunk by the mean gap, and by how much it was off; far from the solution, where it is
     meaningless, they stay."""
     s = wp.tid()
@@ -44,9 +36,7 @@ def shrunk(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
-def picked(
-    b: wp.array2d(dtype=Any), at: wp.array2d(dtype=wp.int64), less: wp.array2d(dtype=Any), out: wp.array2d(dtype=Any)
-):
+def picked(b: wp.array2d(dtype=Any), at: Longs2, less: wp.array2d(dtype=Any), out: wp.array2d(dtype=Any)):
     """b (s, k) at the unknowns (s, a), 0 where -1, less what is given (s, a), if it has rows."""
     s, k = wp.tid()
     value = b.dtype(0.0)
@@ -69,15 +59,9 @@ def placed(G: wp.array2d(dtype=Any), X: wp.array2d(dtype=Any), some: wp.array2d(
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def joined(
-    G: wp.array2d(dtype=Any),
-    X: wp.array2d(dtype=Any),
-    some: wp.array2d(dtype=Any),
-    place: wp.array2d(dtype=wp.int64),
-    good: wp.array(dtype=wp.bool),
-    step: int,
-    out: wp.array2d(dtype=real),
-    exists: wp.array(dtype=wp.bool),
-):
+    G: wp.array2d(dtype=Any), X: wp.array2d(dtype=Any), some: wp.array2d(dtype=Any), place: Longs2, good: Flags,
+    step: int, out: Reals2, exists: Flags,
+):  # fmt: skip
     """At each unknown with its place (s, k) of `some` (s, a), or what of G - X (s, e) belongs to it, see
     tensor_engine.reduction.Reduction; 0 where not good (s,) or not finite, and which are good."""
     s, lane = wp.tid()
@@ -100,9 +84,7 @@ def joined(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
-def exact(
-    b: wp.array2d(dtype=Any), product: wp.array2d(dtype=Any), limit: real, step: int, good: wp.array(dtype=wp.bool)
-):
+def exact(b: wp.array2d(dtype=Any), product: wp.array2d(dtype=Any), limit: real, step: int, good: Flags):
     """Whether b (s, a) and a product differ by at most `limit` times the largest of b (s,)."""
     s, lane = wp.tid()
     most, off = real(0.0), real(0.0)
@@ -121,25 +103,10 @@ def exact(
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def tried(
-    x: wp.array2d(dtype=real),
-    start: wp.array2d(dtype=real),
-    load: wp.array2d(dtype=real),
-    gradient: wp.array2d(dtype=real),
-    g: wp.array2d(dtype=real),
-    p: wp.array2d(dtype=real),
-    bent: wp.array2d(dtype=real),
-    whole: wp.array2d(dtype=real),
-    exists: wp.array(dtype=wp.bool),
-    conn: wp.array3d(dtype=wp.int32),
-    N: wp.array2d(dtype=real),
-    gap: wp.array3d(dtype=real),
-    reach: wp.array(dtype=real),
-    halves: wp.array(dtype=real),
-    ratio: real,
-    step: int,
-    fractions: wp.array2d(dtype=real),
-    figures: wp.array2d(dtype=real),
-):
+    x: Reals2, start: Reals2, load: Reals2, gradient: Reals2, g: Reals2, p: Reals2, bent: Reals2, whole: Reals2,
+    exists: Flags, conn: Ints3, N: Reals2, gap: Reals3, reach: Reals, halves: Reals, ratio: real, step: int,
+    fractions: Reals2, figures: Reals2,
+):  # fmt: skip
     """See tensor_engine.contact_newton.tried; `whole` without rows: it does not matter. ratio: the largest of residuals
     after and before a full step."""
     s, lane = wp.tid()
@@ -182,13 +149,7 @@ def tried(
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def downhill(
-    fractions: wp.array2d(dtype=real),
-    figures: wp.array2d(dtype=real),
-    merits: wp.array2d(dtype=real),
-    least: real,
-    rounding: real,
-    decrease: real,
-    out: wp.array(dtype=real),
+    fractions: Reals2, figures: Reals2, merits: Reals2, least: real, rounding: real, decrease: real, out: Reals
 ):
     """See tensor_engine.contact_newton.downhill; rounding: error of a merit over its size; decrease: Armijo's."""
     s = wp.tid()
@@ -205,34 +166,11 @@ def downhill(
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def ended(
-    x: wp.array2d(dtype=real),
-    there: wp.array2d(dtype=real),
-    start: wp.array2d(dtype=real),
-    fraction: wp.array(dtype=real),
-    figures: wp.array2d(dtype=real),
-    N: wp.array2d(dtype=real),
-    gaps: wp.array2d(dtype=real),
-    radius: wp.array(dtype=real),
-    xtol: wp.array(dtype=real),
-    before: wp.array(dtype=real),
-    offset: wp.array(dtype=real),
-    length: wp.array(dtype=real),
-    old_drift: wp.array(dtype=real),
-    drift: wp.array(dtype=real),
-    old_gap: wp.array(dtype=real),
-    steps: wp.array(dtype=wp.int64),
-    most: int,
-    symmetric: bool,
-    least: real,
-    step: int,
-    out: wp.array2d(dtype=real),
-    offsets: wp.array(dtype=real),
-    counted: wp.array(dtype=wp.int64),
-    lengths: wp.array(dtype=real),
-    drifts: wp.array(dtype=real),
-    mean: wp.array(dtype=real),
-    status: wp.array(dtype=wp.int64),
-):
+    x: Reals2, there: Reals2, start: Reals2, fraction: Reals, figures: Reals2, N: Reals2, gaps: Reals2, radius: Reals,
+    xtol: Reals, before: Reals, offset: Reals, length: Reals, old_drift: Reals, drift: Reals, old_gap: Reals,
+    steps: Longs, most: int, symmetric: bool, least: real, step: int, out: Reals2, offsets: Reals, counted: Longs,
+    lengths: Reals, drifts: Reals, mean: Reals, status: Longs,
+):  # fmt: skip
     """See tensor_engine.contact_newton.ended; least: the smallest fraction of a step."""
     s, lane = wp.tid()
     force, weighted, farthest, part = real(0.0), real(0.0), real(0.0), real(wp.inf)

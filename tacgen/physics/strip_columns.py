@@ -4,9 +4,23 @@ import warp as wp
 
 from tacgen.physics.bundles import INSIDE, MOST_NORMAL, bundle, cell_of, column_seen, mixed, single, wanted
 from tacgen.physics.flat import get, put
-from tacgen.physics.laws import ONE, TWO, ZERO, real
 from tacgen.physics.shadows import horizon, terrain
 from tacgen.physics.strips import ASIDE, FACING, arrive, shaded
+from tacgen.physics.types import (
+    ONE,
+    TWO,
+    ZERO,
+    Ints,
+    Longs,
+    Pairs,
+    Reals,
+    Singles,
+    Singles3,
+    Singles4,
+    Triples,
+    Vectors,
+    real,
+)
 
 LATERAL_STEP_MM = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
 HEIGHT_STEP_MM = 0.5  # spacing of the heights [mm]
@@ -21,14 +35,7 @@ MOST_SLOPE = wp.constant(real(MAX_SLOPE))
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def connections(
-    z: wp.array(dtype=real),
-    aside: wp.array(dtype=real),
-    sources: wp.array(dtype=real),
-    home: wp.array(dtype=wp.int32),
-    slab: wp.array(dtype=wp.vec3d),
-    out: wp.array4d(dtype=single),
-):
+def connections(z: Reals, aside: Reals, sources: Reals, home: Ints, slab: Vectors, out: Singles4):
     """Arrivals (sources ways, 2, 4, heights) of light for every source's height, way aside, image and height."""
     thread = wp.tid()
     s = thread / aside.shape[0]
@@ -46,22 +53,10 @@ def connections(
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def column_light(
-    places: wp.array(dtype=wp.vec3d),
-    z: wp.array(dtype=real),
-    sources: wp.array(dtype=wp.vec3d),
-    ways: wp.array(dtype=wp.vec3d),
-    sizes: wp.array(dtype=wp.vec2d),
-    kinds: wp.array(dtype=wp.vec2i),
-    middle: wp.array(dtype=wp.vec3d),
-    level: wp.array(dtype=wp.int32),
-    home: wp.array(dtype=wp.int32),
-    table: wp.array(dtype=single),
-    laterals: int,
-    panels: wp.array(dtype=wp.vec3d),
-    slab: wp.array(dtype=wp.vec3d),
-    room: wp.array(dtype=single),
-    out: wp.array(dtype=single),
-):
+    places: Vectors, z: Reals, sources: Vectors, ways: Vectors, sizes: Pairs, kinds: wp.array(dtype=wp.vec2i),
+    middle: Vectors, level: Ints, home: Ints, table: Singles, laterals: int, panels: Vectors, slab: Vectors,
+    room: Singles, out: Singles,
+):  # fmt: skip
     """Light of columns at heights z (m,) over places (n,) of the untouched face: (m, n, 2 FIELDS, columns), of each
     field that of the direct and then of the reflected light. A thread for each column does all places.
 
@@ -171,19 +166,9 @@ def column_light(
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def untouched_horizons(
-    places: wp.array(dtype=wp.vec3d),
-    z: wp.array(dtype=real),
-    middle: wp.array(dtype=wp.vec3d),
-    heights: wp.array(dtype=real),
-    small: wp.array(dtype=real),
-    large: wp.array(dtype=real),
-    extent: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    wide: real,
-    tall: real,
-    out: wp.array3d(dtype=single),
-):
+    places: Vectors, z: Reals, middle: Vectors, heights: Reals, small: Reals, large: Reals, extent: Reals, rows: int,
+    columns: int, wide: real, tall: real, out: Singles3,
+):  # fmt: skip
     """Greatest slopes (m, n, >= columns) that pass the untouched face from heights z (m,) over places (n,) of it toward
     each column, in the last numbers of a row. Above the face they go on linearly, which is exact if the occluder is far
     away."""
@@ -215,35 +200,11 @@ def untouched_horizons(
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def toward_camera(
-    index: wp.array(dtype=wp.int64),
-    step: int,
-    faces: wp.array(dtype=wp.vec3i),
-    triangle: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec2d),
-    nodes: wp.array(dtype=wp.vec3d),
-    normals: wp.array(dtype=wp.vec3d),
-    views: wp.array(dtype=wp.vec3d),
-    passed: wp.array(dtype=real),
-    middle: wp.array(dtype=wp.vec3d),
-    strip: wp.array(dtype=wp.int32),
-    grid: wp.array(dtype=wp.vec3d),
-    light: wp.array(dtype=single),
-    size: wp.vec4i,
-    mirror: real,
-    shares: wp.array(dtype=wp.vec2d),
-    count: int,
-    alpha: real,
-    heights: wp.array(dtype=real),
-    small: wp.array(dtype=real),
-    large: wp.array(dtype=real),
-    extent: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    wide: real,
-    tall: real,
-    room: wp.array(dtype=single),
-    out: wp.array(dtype=real),
-):
+    index: Longs, step: int, faces: Triples, triangle: Ints, place: Pairs, nodes: Vectors, normals: Vectors,
+    views: Vectors, passed: Reals, middle: Vectors, strip: Ints, grid: Vectors, light: Singles, size: wp.vec4i,
+    mirror: real, shares: Pairs, count: int, alpha: real, heights: Reals, small: Reals, large: Reals, extent: Reals,
+    rows: int, columns: int, wide: real, tall: real, room: Singles, out: Reals,
+):  # fmt: skip
     """Radiance (n, count) at the camera of the samples `index` (n,), 0 where there is no gel, see
     strip_light_table.toward_camera; each thread does every `step`-th.
 

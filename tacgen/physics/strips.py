@@ -7,8 +7,8 @@ against air, and the outermost layer, with the camera's face in it, has no top. 
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan
-from tacgen.physics.laws import HALF, ONE, TWO, ZERO, real
 from tacgen.physics.shadows import horizon, terrain
+from tacgen.physics.types import HALF, ONE, TWO, ZERO, Pairs, Pairs2, Reals, Vectors, real
 
 # distance of a ray's end from a strip's plane, below which the strip does not block it [mm]
 MIN_BLOCKING_DISTANCE_MM = 0.01
@@ -56,7 +56,7 @@ def way(layer: wp.vec3d, z: real, source: real, image: int) -> real:
 
 
 @wp.func
-def length(slab: wp.array(dtype=wp.vec3d), i: int, z: real, source: real, image: int) -> real:
+def length(slab: Vectors, i: int, z: real, source: real, image: int) -> real:
     """`way` in layer i, which is never 0 in the outermost: a strip's point may be level with the sample."""
     found = way(get(slab, i), z, source, image)
     if i == slab.shape[0] - 1:
@@ -65,7 +65,7 @@ def length(slab: wp.array(dtype=wp.vec3d), i: int, z: real, source: real, image:
 
 
 @wp.func
-def connect(slab: wp.array(dtype=wp.vec3d), rho: real, z: real, source: real, image: int) -> wp.vec2d:
+def connect(slab: Vectors, rho: real, z: real, source: real, image: int) -> wp.vec2d:
     """k of the ray that travels sideways by rho [mm] from `source` to z, and d rho/dk."""
     low, paraxial = real(wp.inf), real(0.0)
     i = int(0)
@@ -105,7 +105,7 @@ def connect(slab: wp.array(dtype=wp.vec3d), rho: real, z: real, source: real, im
 
 
 @wp.func
-def layer_at(slab: wp.array(dtype=wp.vec3d), z: real) -> int:
+def layer_at(slab: Vectors, z: real) -> int:
     """Index of the layer at height z."""
     home = int(0)
     while home < slab.shape[0] - 1 and z >= get(slab, home)[1]:
@@ -114,7 +114,7 @@ def layer_at(slab: wp.array(dtype=wp.vec3d), z: real) -> int:
 
 
 @wp.func
-def arrive(slab: wp.array(dtype=wp.vec3d), rho: real, z: real, source: real, home: int, image: int) -> Arrival:
+def arrive(slab: Vectors, rho: real, z: real, source: real, home: int, image: int) -> Arrival:
     """Path of light from a point at lateral distance `rho` [mm] and height `source`, in layer `home`, to height z in
     the outermost layer: direct (image 0), or reflected (1) at the slab's bottom."""
     last = slab.shape[0] - 1
@@ -158,7 +158,7 @@ def ggx(turn: real, ci: real, co: real, alpha: real) -> real:
 
 
 @wp.func
-def crosses(panels: wp.array(dtype=wp.vec3d), a: wp.vec3d, b: wp.vec3d) -> bool:
+def crosses(panels: Vectors, a: wp.vec3d, b: wp.vec3d) -> bool:
     """Whether a strip blocks the straight line from a to b [mm], which may start or end on one.
 
     panels (4 m,): middle of each strip, half of its side along and up [mm], and its unit normal.
@@ -176,15 +176,7 @@ def crosses(panels: wp.array(dtype=wp.vec3d), a: wp.vec3d, b: wp.vec3d) -> bool:
 
 
 @wp.func
-def shaded(
-    slab: wp.array(dtype=wp.vec3d),
-    panels: wp.array(dtype=wp.vec3d),
-    p: wp.vec3d,
-    source: wp.vec3d,
-    home: int,
-    image: int,
-    k: real,
-) -> bool:
+def shaded(slab: Vectors, panels: Vectors, p: wp.vec3d, source: wp.vec3d, home: int, image: int, k: real) -> bool:
     """Whether a strip blocks the refracted path of `k` between a point of the face and a source, direct or
     reflected; see `arrive` for home and image."""
     dx, dy = source[0] - p[0], source[1] - p[1]
@@ -212,7 +204,7 @@ def shaded(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def transmitted(k: wp.array(dtype=real), indices: wp.array(dtype=real), out: wp.array(dtype=real)):
+def transmitted(k: Reals, indices: Reals, out: Reals):
     """Share (n,) of light that passes all interfaces between layers of some indices, at k (n,)."""
     j = wp.tid()
     passed = real(1.0)
@@ -223,26 +215,10 @@ def transmitted(k: wp.array(dtype=real), indices: wp.array(dtype=real), out: wp.
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
 def gathered(
-    at: wp.array(dtype=wp.vec3d),
-    normals: wp.array(dtype=wp.vec3d),
-    views: wp.array(dtype=wp.vec3d),
-    sources: wp.array(dtype=wp.vec3d),
-    ways: wp.array(dtype=wp.vec3d),
-    sizes: wp.array(dtype=wp.vec2d),
-    kinds: wp.array(dtype=wp.vec2i),
-    slab: wp.array(dtype=wp.vec3d),
-    panels: wp.array(dtype=wp.vec3d),
-    alpha: real,
-    heights: wp.array(dtype=real),
-    small: wp.array(dtype=real),
-    large: wp.array(dtype=real),
-    extent: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    wide: real,
-    tall: real,
-    out: wp.array2d(dtype=wp.vec2d),
-):
+    at: Vectors, normals: Vectors, views: Vectors, sources: Vectors, ways: Vectors, sizes: Pairs,
+    kinds: wp.array(dtype=wp.vec2i), slab: Vectors, panels: Vectors, alpha: real, heights: Reals, small: Reals,
+    large: Reals, extent: Reals, rows: int, columns: int, wide: real, tall: real, out: Pairs2,
+):  # fmt: skip
     """Radiance (samples, strips) toward the camera per unit LED radiance, of a white Lambertian coat and of a rough
     mirror, see strip_light.gather; out: 0 before.
 

@@ -22,8 +22,9 @@ from typing import Any
 import warp as wp
 
 from tacgen.physics.elements import LEAST, cofactor, corners_of, item, mapped, means, near, positive_J
-from tacgen.physics.laws import TWO_THIRDS, Coefficients, Derivatives, clamped_log, isochoric, real, volumetric
+from tacgen.physics.laws import TWO_THIRDS, Coefficients, Derivatives, clamped_log, isochoric, volumetric
 from tacgen.physics.projection import Stretches, eigenmatrix, eigenvalue, strained, stretches
+from tacgen.physics.types import Ints, Ints2, Matrices3, Reals2, Reals3, Vectors2, Vectors4, real
 
 FIVE_NINTHS = wp.constant(real(5 / 9))
 
@@ -154,20 +155,10 @@ class Tangents:
 
         @kernel
         def points(
-            F: wp.array3d(dtype=wp.mat33d),
-            weights: wp.array3d(dtype=real),
-            laws: wp.array2d(dtype=Coefficients),
-            slots: wp.array(dtype=wp.int32),
-            items: wp.array2d(dtype=wp.int32),
-            local: real,
-            memory: wp.array3d(dtype=wp.mat33d),
-            predicted: wp.array3d(dtype=real),
-            projection: int,
-            out: wp.array2d(dtype=Point),
-            kept: wp.array2d(dtype=mat),
-            modes: wp.array3d(dtype=mat),
-            dilatation: wp.array(dtype=r),
-        ):
+            F: Matrices3, weights: Reals3, laws: wp.array2d(dtype=Coefficients), slots: Ints, items: Ints2, local: real,
+            memory: Matrices3, predicted: Reals3, projection: int, out: wp.array2d(dtype=Point),
+            kept: wp.array2d(dtype=mat), modes: wp.array3d(dtype=mat), dilatation: wp.array(dtype=r),
+        ):  # fmt: skip
             """Points (k, q) of elements; `kept`: their M; `dilatation` (k,): U''(mean J)/volume of each cell. With rows
             in `predicted`, with the pressure at the predicted J."""
             i = wp.tid()
@@ -211,17 +202,9 @@ class Tangents:
 
         @kernel
         def folding_points(
-            x: wp.array2d(dtype=wp.vec3d),
-            conn: wp.array2d(dtype=wp.int32),
-            dN: wp.array2d(dtype=wp.vec3d),
-            rest: wp.array3d(dtype=real),
-            stiffness: wp.array2d(dtype=real),
-            slots: wp.array(dtype=wp.int32),
-            items: wp.array2d(dtype=wp.int32),
-            projection: int,
-            out: wp.array2d(dtype=Point),
-            modes: wp.array3d(dtype=mat),
-        ):
+            x: Vectors2, conn: Ints2, dN: Vectors2, rest: Reals3, stiffness: Reals2, slots: Ints, items: Ints2,
+            projection: int, out: wp.array2d(dtype=Point), modes: wp.array3d(dtype=mat),
+        ):  # fmt: skip
             """Points (k, q) of the barrier against inversion, in the coordinates xi; arrays as in elements.folds."""
             i = wp.tid()
             pair = item(items, i, conn.shape[0])
@@ -243,17 +226,9 @@ class Tangents:
 
         @kernel
         def pair_blocks(
-            B: wp.array4d(dtype=wp.vec3d),
-            slots: wp.array(dtype=wp.int32),
-            items: wp.array2d(dtype=wp.int32),
-            at: wp.array2d(dtype=Point),
-            modes: wp.array3d(dtype=mat),
-            dilatation: wp.array(dtype=r),
-            two: wp.bool,
-            add: wp.bool,
-            cells: int,
-            K: wp.array4d(dtype=r),
-        ):
+            B: Vectors4, slots: Ints, items: Ints2, at: wp.array2d(dtype=Point), modes: wp.array3d(dtype=mat),
+            dilatation: wp.array(dtype=r), two: wp.bool, add: wp.bool, cells: int, K: wp.array4d(dtype=r),
+        ):  # fmt: skip
             """d2E/dx2 of cells (s, e, 3 corner + direction, ...), for a GPU: a thread for each pair of corners."""
             i, number = wp.tid()
             pair = item(items, i, cells)
@@ -278,20 +253,10 @@ class Tangents:
 
         @kernel
         def cell_blocks(
-            B: wp.array4d(dtype=wp.vec3d),
-            slots: wp.array(dtype=wp.int32),
-            items: wp.array2d(dtype=wp.int32),
-            at: wp.array2d(dtype=Point),
-            memory: wp.array2d(dtype=mat),
-            modes: wp.array3d(dtype=mat),
-            dilatation: wp.array(dtype=r),
-            two: wp.bool,
-            corners: wp.array(dtype=Corner),
-            volume: wp.array(dtype=vec),
-            K: wp.array2d(dtype=mat),
-            entries: wp.array2d(dtype=wp.int32),
-            data: wp.array(dtype=r),
-        ):
+            B: Vectors4, slots: Ints, items: Ints2, at: wp.array2d(dtype=Point), memory: wp.array2d(dtype=mat),
+            modes: wp.array3d(dtype=mat), dilatation: wp.array(dtype=r), two: wp.bool, corners: wp.array(dtype=Corner),
+            volume: wp.array(dtype=vec), K: wp.array2d(dtype=mat), entries: Ints2, data: wp.array(dtype=r),
+        ):  # fmt: skip
             """Add d2E/dx2 to the entries of a sparse matrix, for a core: a thread for each cell, one after the other.
 
             `entries` (e, 3a*3a): where, -1 where an entry is not stored. Work space: corners (a), volume (a), K (a, a).

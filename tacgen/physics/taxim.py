@@ -3,7 +3,7 @@
 import warp as wp
 
 from tacgen.physics.flat import get, is_nan, put
-from tacgen.physics.laws import HALF, real
+from tacgen.physics.types import HALF, Longs, Pairs, Reals, Reals3, Vectors, Vectors2, real
 
 SLOPE_BINS = 41  # of each slope component, the sine of its angle from -1 to 1
 # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
@@ -17,13 +17,7 @@ Lamp = wp.types.vector(length=7, dtype=real)  # ends of a strip and half its hei
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def accumulated(
-    index: wp.array(dtype=wp.int64),
-    basis: wp.array(dtype=Basis),
-    light: wp.array(dtype=wp.vec3d),
-    a: wp.array3d(dtype=real),
-    b: wp.array2d(dtype=wp.vec3d),
-):
+def accumulated(index: Longs, basis: wp.array(dtype=Basis), light: Vectors, a: Reals3, b: Vectors2):
     """Add samples (n,) and their light (n,) to the normal equations (bins, 6, 6) and (bins, 6); one thread does all."""
     for s in range(index.shape[0]):
         k, row = int(index[s]), basis[s]
@@ -34,13 +28,7 @@ def accumulated(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def bent(
-    height: wp.array(dtype=real),
-    normal: wp.array(dtype=wp.vec3d),
-    untouched: wp.array(dtype=wp.vec3d),
-    out: wp.array(dtype=real),
-    slope: wp.array(dtype=wp.vec2d),
-):
+def bent(height: Reals, normal: Vectors, untouched: Vectors, out: Reals, slope: Pairs):
     """Heights (n,) and differences of normals in x and y (n,); 0 where they are nan."""
     i = wp.tid()
     bend = get(normal, i) - get(untouched, i)
@@ -57,7 +45,7 @@ def within(at: real, last: int) -> real:
 
 
 @wp.func
-def terms_light(terms: wp.array(dtype=wp.vec3d), at: int, basis: Basis) -> wp.vec3d:
+def terms_light(terms: Vectors, at: int, basis: Basis) -> wp.vec3d:
     """Light by the polynomial of one bin."""
     total = wp.vec3d()
     k = int(0)
@@ -68,14 +56,7 @@ def terms_light(terms: wp.array(dtype=wp.vec3d), at: int, basis: Basis) -> wp.ve
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def looked_up(
-    terms: wp.array(dtype=wp.vec3d),
-    slope: wp.array(dtype=wp.vec2d),
-    basis: wp.array(dtype=Basis),
-    dark: wp.array2d(dtype=wp.vec3d),
-    width: int,
-    out: wp.array(dtype=wp.vec3d),
-):
+def looked_up(terms: Vectors, slope: Pairs, basis: wp.array(dtype=Basis), dark: Vectors2, width: int, out: Vectors):
     """The table's light (n,), bilinear between bins (bins, bins, 6), less what is dark at every SHADOW_SPACING_PX-th
     pixel and beyond."""
     p = wp.tid()
@@ -99,14 +80,7 @@ def looked_up(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")
-def shadows(
-    height: wp.array(dtype=real),
-    lowest: wp.array(dtype=real),
-    lamps: wp.array(dtype=Lamp),
-    width: int,
-    mm_per_px: real,
-    out: wp.array(dtype=real),
-):
+def shadows(height: Reals, lowest: Reals, lamps: wp.array(dtype=Lamp), width: int, mm_per_px: real, out: Reals):
     """How much (n, lamps), 0 to 1, of each lamp is hidden from each pixel (n,), see taxim_table.shadows; lowest
     (1,): the least height [mm]."""
     p = wp.tid()

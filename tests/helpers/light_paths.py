@@ -5,7 +5,7 @@ import warp as wp
 
 from tacgen.optics.strip_light import Panels, Slab, shadowing
 from tacgen.physics import runtime, shadows, strips
-from tacgen.physics.laws import real
+from tacgen.physics.types import real
 
 
 @wp.kernel(enable_backward=False, module="tests.light_paths")

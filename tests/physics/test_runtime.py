@@ -1,0 +1,42 @@
+"""Launches on a core: what changes from one to the next is given anew, and arrays of other types are refused."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tacgen.physics.runtime import call
+
+
+@wp.kernel(enable_backward=False, module="tests.runtime")
+def moved(x: wp.array(dtype=wp.vec2d), way: wp.vec2d, times: wp.float64, out: wp.array(dtype=wp.vec2d)):
+    k = wp.tid()
+    out[k] = x[k] + times * way
+
+
+def shifted(x: np.ndarray, way: tuple[float, float], times: float) -> np.ndarray:
+    out = np.full(x.shape, np.nan)
+    call(moved, (len(x),), x, way, times, out)
+    return out
+
+
+def test_numbers_vectors_and_lengths_may_change() -> None:
+    r = np.random.default_rng(0)
+    for count, way, times in [
+        (3, (1.0, 2.0), 1.0),
+        (3, (5.0, 7.0), 1.0),
+        (9, (1.0, 2.0), 1.0),
+        (9, (1.0, 2.0), 3.0),
+    ] * 2:
+        x = r.normal(size=(count, 2))
+        assert shifted(x, way, times) == pytest.approx(x + times * np.array(way))
+    assert shifted(np.asfortranarray(r.normal(size=(4, 2))), (0.0, 0.0), 0.0).shape == (4, 2)
+    assert shifted(np.zeros((0, 2)), (1.0, 2.0), 1.0).shape == (0, 2)
+
+
+def test_arrays_of_other_types_and_shapes_are_refused() -> None:
+    """A whole number in the place of a real one would be read as another."""
+    shifted(np.zeros((2, 2)), (1.0, 2.0), 1.0)
+    with pytest.raises(AssertionError, match="int64"):
+        shifted(np.zeros((2, 2), np.int64), (1.0, 2.0), 1.0)
+    with pytest.raises(ValueError, match="last axes"):
+        shifted(np.zeros((2, 3)), (1.0, 2.0), 1.0)
