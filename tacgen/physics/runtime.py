@@ -33,6 +33,7 @@ KERNEL_FILES = {
     ),
 }
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
+MAX_PREPARED_GPU_LAUNCHES = 4096  # launches on a GPU that stay prepared: calls have many sizes, each of some kB
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
 # bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there
 # takes a tenth of the time of __array_interface__
@@ -169,8 +170,11 @@ def call(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
 def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool = False) -> Any:
     """Run a kernel on its arguments, the outputs among them: arrays of Warp, NumPy or PyTorch; None is one of no rows.
 
-    On a GPU it runs in PyTorch's stream. record: returns the launch instead.
+    On a GPU it runs in PyTorch's stream, and launches on arrays of the same types and shapes are prepared once. record:
+    returns the launch instead.
     """
+    if not record and any(getattr(value, "is_cuda", False) for value in values):
+        return _launch_on_gpu(kernel, dim, values)
     kinds = [argument.type for argument in kernel.adj.args]
     found = [
         array(value, kind.dtype) if hasattr(kind, "ndim") and not isinstance(value, wp.array | None) else value
@@ -179,12 +183,37 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
     device = next(value.device for value in found if isinstance(value, wp.array))
     inputs = [_none(k.dtype, k.ndim, device.alias) if v is None else v for k, v in zip(kinds, found, strict=True)]
     load(kernel.module.name, device.alias)
-    stream = None
-    if device.is_cuda:
-        import torch
+    return wp.launch(kernel, dim=dim, inputs=inputs, device=device, record_cmd=record)
 
-        stream = _stream(torch.cuda.current_stream().cuda_stream, device.alias)
-    return wp.launch(kernel, dim=dim, inputs=inputs, device=device, stream=stream, record_cmd=record)
+
+def _launch_on_gpu(kernel: wp.Kernel, dim: tuple[int, ...], values: tuple[Any, ...]) -> None:
+    """As `launch`: a prepared launch takes the addresses of the arrays, and vectors, which may be others each time."""
+    import torch
+
+    if 0 in dim:
+        return
+    key: list[Any] = [kernel, dim]
+    for value in values:
+        if isinstance(value, torch.Tensor):
+            key += value.shape, value.stride(), value.dtype, value.device.index
+        elif isinstance(value, wp.array):
+            key += value.shape, value.strides
+        else:
+            key.append(type(value) if hasattr(value, "_wp_scalar_type_") else value)
+    known, asked = vars(_threads).setdefault("on_gpu", {}), tuple(key)
+    if (prepared := known.get(asked)) is None:
+        if len(known) == MAX_PREPARED_GPU_LAUNCHES:
+            del known[next(iter(known))]
+        prepared = known[asked] = launch(kernel, dim, *values, record=True)
+        prepared.fwd_args = None  # the arrays of this call, which need not stay
+    for k, value in enumerate(values):
+        if isinstance(value, torch.Tensor):
+            prepared.params[1 + k].data = value.data_ptr()  # before them the launch's size
+        elif isinstance(value, wp.array):
+            prepared.params[1 + k].data = value.ptr
+        elif hasattr(value, "_wp_scalar_type_"):
+            prepared.set_param_at_index(k, value)
+    prepared.launch(_stream(torch.cuda.current_stream().cuda_stream, prepared.device.alias))
 
 
 @cache

@@ -1,1 +1,1 @@
-"""Camera pictures of many faces at once on a GPU, by PyTorch and Triton: what optics computes, sample by sample."""
+"""Camera pictures of many faces at once on a GPU, by the kernels of optics: every sample is computed."""

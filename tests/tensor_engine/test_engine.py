@@ -21,6 +21,7 @@ from tacgen.tensor_engine.engine import BATCH_KERNELS, Solved
 from tacgen.tensor_engine.planning import Planned
 from tacgen.tensor_engine.scope import lacks
 from tensor_engine.batches import alone, batch, path, small, solve
+from tensor_engine.test_contact import sharp_field
 
 torch.set_num_threads(1)
 BALL = SphereSdf(2.5)
@@ -175,6 +176,7 @@ def test_what_the_engine_lacks_is_said() -> None:
         (replace(made, element="tet"), "a mesh of tets"),
         (replace(made, dynamics=GelDynamics(1e-9, 0.0, 0.0, 1e-3)), "inertia"),
         (replace(made, gel=viscous, duration=np.ones(1)), "a viscous gel"),
+        (replace(made, shape=sharp_field()), "exact edges"),
     ):
         assert lacks(changed) == said
 
