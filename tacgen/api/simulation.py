@@ -3,7 +3,6 @@
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -18,7 +17,6 @@ from tacgen.bundle.resume import SceneResult
 from tacgen.recipe import assets, indenters, plan
 from tacgen.recipe.loading import read_sensor
 from tacgen.recipe.model import Dynamics, Render, Uncertainty
-from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Hold, Press, Release, Replay, Slide, Start, Tilt, Twist
 from tacgen.sensor.base_model import Part
 from tacgen.sensor.model import Camera, Gel, Sensor
@@ -125,21 +123,9 @@ def simulate(
     (row,) = plan.load(tree, sensor=chosen if isinstance(chosen, Sensor) else None).rows
     for odd in unusual(row.sensor.gel):
         warnings.warn(f"sensor.{format_path(odd.path)}: {odd.message}", stacklevel=2)
-    return accepted(read(_made(row, folder.path)), folder)
-
-
-def _made(row: Row, folder: Path) -> Path:
-    """The bundle of a scene that is made in this process; what has to be compiled is compiled in two."""
     from tacgen.batch import pipeline
-    from tacgen.batch.local import compiler_of
 
-    with ExitStack() as helpers:
-
-        def on_event(event: dict[str, Any]) -> None:
-            if event["event"] == "compiling" and (helper := compiler_of(row, folder)):
-                helpers.callback(helper.stop)
-
-        return pipeline.run_scene(row, folder, on_event=on_event).path
+    return accepted(read(pipeline.run_scene(row, folder.path).path), folder)
 
 
 def run(

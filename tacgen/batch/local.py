@@ -11,12 +11,11 @@ from typing import Any
 
 from tacgen.base.errors import UserError
 from tacgen.batch.scene_order import COMPARED_SCENES, SceneOrder
-from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memory
+from tacgen.batch.worker_process import Job, Limits, Worker, machine_memory
 from tacgen.bundle.resume import SceneResult
 from tacgen.recipe.row import Row
 
 SCENE_TASK = "tacgen.batch.pipeline:run_scene"
-COMPILE_TASK = "tacgen.batch.pipeline:compile_labels"  # in a second process, if there is a second core
 MAX_TRIES = 2  # a scene whose worker died this often is recorded as failed
 POLL_S = 0.2  # longest wait for messages, and interval of checks of the limits [s]
 BUSY_RETRY_S = 0.5  # delay before a scene that another run is making is tried again [s]
@@ -40,7 +39,6 @@ class Pool:
         self.size, self.limits, self.task, self.first = workers, limits or Limits(), task, first
         self.memory_gb = self.limits.memory_gb or memory_gb or 0.9 * machine_memory() / workers
         self.workers: list[Worker] = []
-        self.compiler: Worker | None = None
         self.last_check = time.monotonic()
         self.failed_starts = 0
 
@@ -48,12 +46,11 @@ class Pool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        workers = [*self.workers, *filter(None, [self.compiler])]
-        for worker in workers:
+        for worker in self.workers:
             worker.process.kill()
-        for worker in workers:
+        for worker in self.workers:
             worker.stop()
-        self.workers, self.compiler = [], None
+        self.workers = []
 
     def run(
         self,
@@ -81,8 +78,6 @@ class Pool:
             self._assign_jobs(batch, overwrite, first)
             for worker, kind, what in self._messages():
                 if kind == "event":
-                    if what["event"] == "compiling" and worker.job is not None and self.compiler is None:
-                        self.compiler = compiler_of(worker.job.row, folder)
                     on_event(what)
                 elif kind == "ready":
                     worker.ready, self.failed_starts = True, 0
@@ -129,16 +124,6 @@ class Pool:
         elif worker.scenes_made >= self.limits.scenes:
             self.workers.remove(worker)
             Thread(target=worker.stop, args=(5.0,)).start()  # its process takes a while to end
-
-
-def compiler_of(row: Row, folder: Path) -> Worker | None:
-    """A second process that compiles the code of a scene's labels, while the scene's own compiles that of the solver;
-    None if there is no second core, or nothing to compile."""
-    if cores() < 2 or row.recipe.outputs == {"force"}:
-        return None
-    worker = Worker(COMPILE_TASK)
-    worker.give(Job([row], 0), folder, overwrite=False)
-    return worker
 
 
 class _Batch:

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from tacgen.render.pictures import Pictures
 
 MIN_NOTED_ERROR = 0.1  # expected error of the force by the mesh [-], above which a run tells it
-WARM_DENT_MM = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 STRESS_OUTPUTS = {"stress", "surface_stress"}  # outputs that need the gel's elements
 # entries of the cache that take long, by the event that tells of them; tables come first of a sensor's images
 TOLD_ENTRIES = {compiled.COMPILED_ENTRY: "compiling", "untouched": "tracing", "table": "tracing"}
@@ -345,23 +344,6 @@ def _made(
             fine, said = approach.verdict(row.recipe, min(recorder.gap for recorder in recorders))
             status, reason, notes = ("ok", "", [said]) if fine else ("rejected", said, [])
         return status, reason, done, tuple(recorder.finish(status, reason, notes) for recorder in recorders)
-
-
-def compile_labels(row: Row, folder: Path, **_: Any) -> None:
-    """Compile what pictures and maps need, while another process compiles the solver, and make a sensor's tables."""
-    from threadpoolctl import threadpool_limits
-
-    from tacgen.physics import runtime
-
-    runtime.load(runtime.OPTICS, "cpu")  # before anything that waits for the solver's code
-    if not row.recipe.outputs & IMAGE_OUTPUTS:
-        return
-    with threadpool_limits(1, user_api="blas"):
-        built = scene_of_row.build(row)
-        shared = _shared(row, built, mechanics.Problem.of(built, mesh.of(built)))
-        dented = shared.problem.mesh.points.copy()
-        dented[:, 2] -= WARM_DENT_MM * np.exp(-np.square(dented).sum(1))
-        shared.pictures.radiance(shared.printed.moved(dented))
 
 
 def run(

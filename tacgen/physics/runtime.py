@@ -3,11 +3,14 @@
 import ctypes
 import importlib
 import math
+import os
 import pickle
+import sys
 import tempfile
 import threading
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -34,6 +37,7 @@ KERNEL_FILES = {
 }
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 MAX_PREPARED_GPU_LAUNCHES = 4096  # launches on a GPU that stay prepared: calls have many sizes, each of some kB
+PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
 # bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there
 # takes a tenth of the time of __array_interface__
@@ -68,11 +72,24 @@ def load(module: str, device: str) -> None:
 
 def _made(module: str) -> bytes:
     """The machine code of a module for this core: its file's name, Warp's description of it, and its content."""
+    if module == MODULE:
+        with suppress(OSError):  # pictures, which most scenes have, will need theirs
+            _made_by_another_process(OPTICS)
     with tempfile.TemporaryDirectory() as made, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that the code is of this processor alone: so is its key
         (path,) = wp.compile_aot_module(module, device="cpu", module_dir=made)
         description = path.with_name(path.name.split(".cpu")[0] + ".meta")
         return pickle.dumps((path.name, description.read_bytes(), path.read_bytes()))
+
+
+def _made_by_another_process(module: str) -> None:
+    """Have a module compiled meanwhile, where there is a second core; nobody waits for the process that does it."""
+    if not hasattr(os, "posix_spawn") or (os.cpu_count() or 1) < 2:
+        return
+    program = f"from tacgen.physics import runtime; runtime.load({module!r}, 'cpu')"
+    known = {**os.environ, "PYTHONPATH": os.pathsep.join([PACKAGE_PARENT, os.environ.get("PYTHONPATH", "")])}
+    silent = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_RDWR, 0) for number in range(3)]
+    os.posix_spawn(sys.executable, [sys.executable, "-c", program], known, file_actions=silent, setsid=True)
 
 
 def array(values: Any, dtype: Any) -> wp.array:

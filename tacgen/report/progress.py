@@ -64,7 +64,7 @@ class Progress:
             self.under_way[name] = event["frame"]
             self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
         elif event["event"] == "compiling":
-            self._say_once("compiling: half a minute, once for this version on this machine")
+            self._say_once("compiling: a quarter of a minute, once for this version on this machine")
         elif event["event"] == "tracing":
             self._say_once("tracing light through the gel: seconds to minutes, once for this sensor and quality")
         elif event["event"] == "note":

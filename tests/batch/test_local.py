@@ -19,7 +19,7 @@ from helpers.scenes import TASK, made, make, make_plan, spoil
 from tacgen import batch
 from tacgen.base.errors import UserError
 from tacgen.batch import Limits, worker_main
-from tacgen.batch.local import Pool, compiler_of
+from tacgen.batch.local import Pool
 from tacgen.batch.worker_process import Worker
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import read_journal
@@ -199,20 +199,6 @@ def test_an_interrupt_is_the_parent_s_alone_from_the_first_moment():
         heard += worker.listen()
     worker.stop()
     assert heard[-1][0] == "ready"
-
-
-@pytest.mark.slow
-def test_a_scene_with_maps_or_pictures_gets_help_with_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tacgen.batch.local.COMPILE_TASK", "helpers.scenes:help_compiling")
-    monkeypatch.setattr("tacgen.batch.local.cores", lambda: 2)
-    (bare,) = make_plan(tmp_path, 1, outputs="[force]").rows
-    assert compiler_of(bare, tmp_path) is None
-    (row,) = make_plan(tmp_path, 1, outputs="[height]").rows
-    with Pool(task="helpers.scenes:compiling") as pool:
-        (result,) = pool.run([row], tmp_path)
-        assert pool.compiler is not None
-    assert result.status == "ok"
-    assert (tmp_path / "helped").read_text() == row.name
 
 
 @pytest.mark.usefixtures("kept_workers")

@@ -52,19 +52,6 @@ def make(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = Non
     return resume.once(row, folder, lambda path: _make(row, path, on_event), overwrite=overwrite)
 
 
-def compiling(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
-    """A scene that compiles first, and goes on when its help has done its part."""
-    on_event({"event": "compiling", "scene": row.name})
-    while not (folder / "helped").exists():
-        time.sleep(0.02)
-    return make(row, folder, overwrite=overwrite, on_event=on_event)
-
-
-def help_compiling(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> None:
-    """In the place of pipeline.compile_labels."""
-    (folder / "helped").write_text(row.name)
-
-
 def _make(row: Row, path: Path, on_event: Any) -> resume.SceneResult:
     fault = path.parent / "faults" / row.name
     words = fault.read_text().split() if fault.exists() else []
