@@ -37,9 +37,9 @@ def field(radius: float, cell: float, side: int = 14) -> Field:
     return Field.through(away, origin, cell, smallest_radius=radius, corners=np.eye(3))
 
 
-def sharp_field() -> Field:
+def sharp_field(half_angle_deg: float = 40) -> Field:
     """A wedge of triangles whose edges are exact."""
-    mesh = sharp.wedge(40, 2.4, 1.5)
+    mesh = sharp.wedge(half_angle_deg, 2.4, 1.5)
     solid = SolidMesh("wedge", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))
     return mesh_import.field(mesh_import.placed(solid), cell=0.15, height=1.5, half=3.0, radius=0.05)
 
@@ -55,6 +55,7 @@ SHAPES: dict[str, sdf.Shape] = {
     "grid": field(1.0, 0.15),
     "another grid": field(0.7, 0.2),
     "sharp wedge": sharp_field(),
+    "another sharp wedge": sharp_field(50),
 }
 
 
@@ -169,7 +170,7 @@ def test_tangents_are_slopes_of_the_forces() -> None:
     assert int(smooth.sum()) > 200
     off = torch.where(smooth, (slope - along).abs(), 0.0)
     ends = (
-        off[list(SHAPES).index("sharp wedge") != np.arange(len(SHAPES))] > 1e-4 * along.abs().max()
+        off[["sharp" not in name for name in SHAPES]] > 1e-4 * along.abs().max()
     ).sum()  # at edges of a shape, or of the range of the barrier
     assert int(ends) <= 6
 
@@ -185,7 +186,7 @@ def test_a_facet_that_does_not_exist_is_never_touched() -> None:
     assert not found.force[0].any()
 
 
-@pytest.mark.parametrize(("drop", "reach", "many"), [(0.05, 0.5, 0), (0.6, 9.0, 1), (0.6, 0.7, 7)])
+@pytest.mark.parametrize(("drop", "reach", "many"), [(0.05, 0.5, 0), (0.6, 9.0, 1), (0.6, 0.7, 8)])
 def test_points_that_pass_through(drop: float, reach: float, many: int) -> None:
     """Too deep, and out on the other side; in few parts and in many; beside a scene whose points are not near."""
     case = Case()
