@@ -20,8 +20,8 @@ from benchmarks.results_page import (
     in_own_processes,
     peak_memory,
 )
+from tacgen.base import machine
 from tacgen.base.clock import Clock
-from tacgen.batch import worker_process
 
 ABOUT = (
     "A ball of 4 mm pressed (1 mm; DIGIT 0.6), slid 1 mm and twisted 10 deg with friction 0.6, from recipe to bundle."
@@ -58,7 +58,7 @@ def bench(level: Level, say: Say) -> Result:
             raise one
         found[job[:3]] = one
         say(f"{', '.join(job[:3])}: {one['total']:.3f} s a frame")
-    cores = worker_process.cores()
+    cores = machine.cores()
     many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
     table, plot = workers.workers(4, many, say)
     return Result(ABOUT, [_stages(found), *_parts(found), _first(say), table], [plot])

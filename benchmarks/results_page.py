@@ -18,6 +18,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from tacgen.base import machine
 from tacgen.batch import worker_process
 
 Cell: TypeAlias = str | float | int | None
@@ -96,7 +97,7 @@ def made() -> dict[str, Any]:
     return {
         "date": time.strftime("%Y-%m-%d"),
         "processor": _processor(),
-        "cores": worker_process.cores(),
+        "cores": machine.cores(),
         "gflops": round(in_own_process(f"{__name__}:gflops"), 1),
         "cholmod_blas": in_own_process(f"{__name__}:cholmod_blas"),
         "memory_gb": round(memory),
@@ -132,8 +133,7 @@ def _processor() -> str:
 
 def one_thread() -> dict[str, str]:
     """The environment of a process that uses one core and can import the benchmarks."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return os.environ | dict.fromkeys(worker_process.THREAD_VARIABLES, "1") | {"PYTHONPATH": path}
+    return machine.environment(**dict.fromkeys(worker_process.THREAD_VARIABLES, "1"))
 
 
 def in_own_process(target: str, *args: Any, env: dict[str, str] | None = None) -> Any:
@@ -160,7 +160,7 @@ def in_own_processes(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[A
         except RuntimeError as error:
             return error
 
-    with ThreadPoolExecutor(worker_process.cores()) as threads:  # each thread waits for a process
+    with ThreadPoolExecutor(machine.cores()) as threads:  # each thread waits for a process
         yield from threads.map(one, jobs)
 
 
@@ -170,7 +170,7 @@ def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
     if level == "smoke":
         yield map
         return
-    with ProcessPoolExecutor(worker_process.cores(), mp_context=get_context("spawn")) as workers:
+    with ProcessPoolExecutor(machine.cores(), mp_context=get_context("spawn")) as workers:
         yield workers.map
 
 

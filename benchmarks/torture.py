@@ -19,7 +19,7 @@ from hostile.resealed import MUTATIONS
 
 import benchmarks
 from benchmarks import results_page
-from tacgen.batch import worker_process
+from tacgen.base import machine
 
 ABOUT = (
     "Hostile inputs, each read by a command or a loader in a process of its own, and processes killed at a call to the"
@@ -42,7 +42,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         source = attempts.inputs(attempts.base(Path(scratch)))
         attempts.warm(source)
-        with get_context("fork").Pool(worker_process.cores()) as pool:
+        with get_context("fork").Pool(machine.cores()) as pool:
             for found in pool.imap_unordered(partial(one, source), jobs, chunksize=4):
                 counts[found.kind][found.outcome] += 1
                 if found.outcome not in (attempts.GOOD if found.kind != "kill" else ("accepted",)):

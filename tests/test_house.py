@@ -130,7 +130,7 @@ READERS = {
     **{name: {"read_text"} for name in ("report.catalogue", "report.html_page", "batch.worker_process")},
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
     "physics.runtime": {"read_bytes"},
-    "base.compiled": {"read_text"},  # what the processor can do
+    "base.machine": {"read_text"},
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EXTENDING.md says

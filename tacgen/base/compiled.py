@@ -2,12 +2,10 @@
 
 import hashlib
 import os
-import platform
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import cache
 from pathlib import Path
 
 from tacgen.base import array_cache, atomic_file
@@ -21,17 +19,6 @@ def folder() -> Path:
     """The folder of machine code; TACGEN_CODE_DIR overrides it."""
     known = os.environ.get("TACGEN_CODE_DIR")
     return Path(known) if known else array_cache.cache_folder() / "code"
-
-
-@cache
-def processor() -> str:
-    """The processor and what it can do: code for one may not run on another."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return f"{platform.machine()} {platform.processor()}"
-    told = ("model name", "flags", "Features", "CPU part")
-    return " ".join(sorted({line for line in lines if line.startswith(told)}))
 
 
 def seconds() -> float:

@@ -5,8 +5,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tacgen.base.errors import UserError
+from tacgen.base.machine import cores
 from tacgen.batch.local import Pool
-from tacgen.batch.worker_process import cores
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 

@@ -13,12 +13,12 @@ from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
+from tacgen.base.machine import cores, environment
 from tacgen.recipe.row import Row
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 WORKER_GB = 1.0  # assumed memory of a worker for `--workers auto`; most scenes at `default` need half of it
 WORKER_START_TIMEOUT_S = 300.0  # longest time from start to `ready`, for imports [s]
-PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,13 @@ class Worker:
     def __init__(self, task: str, first: tuple[str, Row] | None = None) -> None:
         """`first`: a function, by its `module:name`, that it calls with a row before its first job."""
         self.link, theirs = connection.Pipe()
-        paths = [PACKAGE_PARENT, *filter(None, [os.environ.get("PYTHONPATH")])]
         with _without_interrupts():
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "tacgen.batch.worker_main", str(theirs.fileno()), str(os.getpid())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=2,  # to stderr: prints of libraries must not mix with results
-                env={**os.environ, **_threads(), "PYTHONPATH": os.pathsep.join(paths)},
+                env=environment(**_threads()),
             )
         theirs.close()
         self.ready = False
@@ -139,15 +138,6 @@ def machine_memory() -> float:
     with suppress(OSError, ValueError):
         sizes.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
     return min(sizes) / 1e9
-
-
-def cores() -> int:
-    """Number of processor cores for this process, by its CPU affinity and the quota of its control group."""
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1  # macOS has none
-    with suppress(OSError, ValueError):  # "max": no quota
-        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
-        count = min(count, max(1, int(quota) // int(period)))
-    return count
 
 
 def usual_workers() -> int:

@@ -14,7 +14,7 @@ Array = np.ndarray
 def at_points(x: Array, conn: Array, N: Array) -> Array:
     """Positions (f, q, 3) of the quadrature points of facets conn (f, a); N (q, a)."""
     out = np.empty((len(conn), len(N), 3))
-    call(assembly.at_points, (len(conn),), x, np.asarray(conn, np.int32), N, out)
+    call(assembly.at_points, (1, *out.shape[:2]), x[None], np.asarray(conn, np.int32)[None], N, out[None])
     return out
 
 

@@ -1,4 +1,4 @@
-"""Sums over the quadrature points of facets, and into the stiffness matrix, as Warp kernels for one scene.
+"""Sums over the quadrature points of facets, and into the stiffness matrix, as Warp kernels; sums for one scene.
 
 Facets conn (f, a) with shape functions N (q, a) at their points. One thread adds all facets, in their order, so that
 sums repeat. Loops are by `while`: those by `range` over a number that is not known take two to three times as long on a
@@ -7,24 +7,27 @@ core.
 
 import warp as wp
 
-from tacgen.physics.types import Ints2, Longs3, Matrices2, Reals, Reals2, Vectors, Vectors2, Vectors3
+from tacgen.physics.types import Ints2, Ints3, Longs3, Matrices2, Reals, Reals2, Vectors2, Vectors3
 
 MIRRORED_ROWS = wp.constant(32)  # rows and columns of blocks that fit into the processor's cache
 
 
+@wp.func
+def point(x: Vectors2, conn: Ints3, N: Reals2, s: int, f: int, q: int) -> wp.vec3d:
+    """A quadrature point of a facet of one of several scenes, with nodes x (s, n) and facets conn (s, f, a)."""
+    at = wp.vec3d()
+    a = int(0)
+    while a < N.shape[1]:
+        at += N[q, a] * x[s, conn[s, f, a]]
+        a += 1
+    return at
+
+
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def at_points(x: Vectors, conn: Ints2, N: Reals2, out: Vectors2):
-    """Positions (f, q) of the points of facets."""
-    f = wp.tid()
-    q = int(0)
-    while q < N.shape[0]:
-        total = wp.vec3d()
-        a = int(0)
-        while a < N.shape[1]:
-            total += N[q, a] * x[conn[f, a]]
-            a += 1
-        out[f, q] = total
-        q += 1
+def at_points(x: Vectors2, conn: Ints3, N: Reals2, out: Vectors3):
+    """Positions (s, f, q) of the points of facets."""
+    s, f, q = wp.tid()
+    out[s, f, q] = point(x, conn, N, s, f, q)
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")

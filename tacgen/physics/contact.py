@@ -7,6 +7,7 @@ frame: rotation (s,) and position (s,).
 
 import warp as wp
 
+from tacgen.physics.assembly import point
 from tacgen.physics.distances import signed_distance
 from tacgen.physics.types import (
     ONE,
@@ -66,15 +67,6 @@ def smooth(u: real, eps: real) -> wp.vec3d:
             -ONE / (eps * eps * wp.max(u, LEAST_SLOPE * eps)),
         )
     return wp.vec3d(u - eps / THREE, ONE / u, -ONE / (u * u * u))
-
-
-@wp.func
-def point(x: Vectors2, conn: Ints3, N: Reals2, s: int, f: int, q: int) -> wp.vec3d:
-    """A quadrature point of a facet."""
-    at = wp.vec3d()
-    for a in range(N.shape[1]):
-        at += N[q, a] * x[s, conn[s, f, a]]
-    return at
 
 
 @wp.func

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from tacgen.physics.splines import CELL, COEFFICIENTS, NODES, ORIGIN, Distance, place, weights
+from tacgen.physics.splines import CELL, COEFFICIENTS, NODES, ORIGIN, Distance, place, steps, weights
 from tacgen.physics.types import Ints, Ints3, Reals, Reals2, real
 
 MAX_TIED_DISTANCES = 16  # distances that are about as small at one point
@@ -191,8 +191,7 @@ def blend(shapes: Reals2, values: Reals, s: int, first: wp.vec3i, t: wp.vec3d) -
     u0, u1, u2 = weights(t[0])
     v0, v1, v2 = weights(t[1])
     w0, w1, w2 = weights(t[2])
-    row = int(shapes[s, NODES + 2])
-    plane = int(shapes[s, NODES + 1]) * row
+    plane, row = steps(shapes, s)
     start = int(shapes[s, SHARE]) + (first[0] - 1) * plane + (first[1] - 1) * row + first[2] - 1
     xy, xz, yz = real(0.0), real(0.0), real(0.0)
     for i in range(4):
@@ -222,8 +221,7 @@ def sharpened(shapes: Reals2, values: Reals, lists: Ints, s: int, p: wp.vec3d, p
         if not (at[a] >= real(1.0) and at[a] <= shapes[s, NODES + a] - real(2.0)):
             return plain
         first[a] = wp.min(int(at[a]), int(shapes[s, NODES + a]) - 3)
-    row = int(shapes[s, NODES + 2])
-    plane = int(shapes[s, NODES + 1]) * row
+    plane, row = steps(shapes, s)
     number = lists[int(shapes[s, LIST]) + first[0] * plane + first[1] * row + first[2]]
     if number < 0:
         return plain

@@ -11,9 +11,8 @@ import warp as wp
 from tacgen.physics.flat import get, is_nan, put
 from tacgen.physics.types import HALF, Flags, Ints, Longs, Pairs, Reals, Triples, real
 
-EDGE_SLACK = (
-    -1e-12
-)  # weight of a node below which a sample lies beside the triangle, so that none falls between two [-]
+# weight of a node below which a sample lies beside the triangle, so that none falls between two [-]
+EDGE_SLACK = -1e-12
 EMPTY_SAMPLE_KEY = (1 << 63) - 1  # key of a sample behind which no triangle lies
 EMPTY = wp.constant(wp.int64(EMPTY_SAMPLE_KEY))
 SLACK = wp.constant(real(EDGE_SLACK))

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from tacgen.base import compiled
+from tacgen.base import compiled, machine
+from tacgen.physics import COMPILER_FLAGS
 
 Array = np.ndarray
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
@@ -37,7 +38,6 @@ KERNEL_FILES = {
 }
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 MAX_PREPARED_GPU_LAUNCHES = 4096  # launches on a GPU that stay prepared: calls have many sizes, each of some kB
-PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
 # bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there
 # takes a tenth of the time of __array_interface__
@@ -59,10 +59,8 @@ def load(module: str, device: str) -> None:
         return
     wp.set_module_options({"block_dim": 1}, wp.get_module(module))  # as `wp.launch` on a core
     if module == OPTICS:
-        from tacgen.physics import COMPILER_FLAGS
-
         wp.set_module_options({"cpu_compiler_flags": COMPILER_FLAGS + " -ffp-contract=fast"}, wp.get_module(module))
-    key = f"{wp.get_module(module).hash_module().hex()} {wp.__version__} {compiled.processor()}"
+    key = f"{wp.get_module(module).hash_module().hex()} {wp.__version__} {machine.processor()}"
     name, description, content = pickle.loads(compiled.kept(module, key, partial(_made, module)))
     with tempfile.TemporaryDirectory() as made:
         (Path(made) / name).write_bytes(content)
@@ -84,12 +82,12 @@ def _made(module: str) -> bytes:
 
 def _made_by_another_process(module: str) -> None:
     """Have a module compiled meanwhile, where there is a second core; nobody waits for the process that does it."""
-    if not hasattr(os, "posix_spawn") or (os.cpu_count() or 1) < 2:
+    if not hasattr(os, "posix_spawn") or machine.cores() < 2:
         return
     program = f"from tacgen.physics import runtime; runtime.load({module!r}, 'cpu')"
-    known = {**os.environ, "PYTHONPATH": os.pathsep.join([PACKAGE_PARENT, os.environ.get("PYTHONPATH", "")])}
     silent = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_RDWR, 0) for number in range(3)]
-    os.posix_spawn(sys.executable, [sys.executable, "-c", program], known, file_actions=silent, setsid=True)
+    command = [sys.executable, "-c", program]
+    os.posix_spawn(sys.executable, command, machine.environment(), file_actions=silent, setsid=True)
 
 
 def array(values: Any, dtype: Any) -> wp.array:
@@ -166,7 +164,7 @@ class PreparedLaunch:
         self._recorded.set_dim(dim)
         function, arguments = self._recorded.hooks.forward, (ctypes.byref(self._recorded.bounds), ctypes.byref(given))
 
-        def run(rows: list[Array]) -> None:
+        def run(rows: list[Array], _stays: list[wp.array] = self._stays) -> None:  # they live as long as the launch
             for part, row in zip(there, rows, strict=True):
                 part.data = _Address.from_address(id(row) + ARRAY_ADDRESS).value
             function(*arguments)
@@ -200,6 +198,8 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
     device = next(value.device for value in found if isinstance(value, wp.array))
     inputs = [_none(k.dtype, k.ndim, device.alias) if v is None else v for k, v in zip(kinds, found, strict=True)]
     load(kernel.module.name, device.alias)
+    axes = getattr(kernel.adj, "kernel_dim", len(dim))
+    assert len(dim) == axes, f"{kernel.key} has threads of {axes} axes, not {len(dim)}"
     return wp.launch(kernel, dim=dim, inputs=inputs, device=device, record_cmd=record)
 
 

@@ -47,6 +47,13 @@ def place(shapes: Reals2, s: int, p: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
+def steps(shapes: Reals2, s: int) -> tuple[int, int]:
+    """From one node's number to those of the next along the first and the second axis; along the third it is 1."""
+    row = int(shapes[s, NODES + 2])
+    return int(shapes[s, NODES + 1]) * row, row
+
+
+@wp.func
 def spline(shapes: Reals2, values: Reals, s: int, p: wp.vec3d) -> Distance:
     """The distance at p; outside the grid a lower bound, and not a number where p is none."""
     out = Distance()
@@ -64,8 +71,7 @@ def spline(shapes: Reals2, values: Reals, s: int, p: wp.vec3d) -> Distance:
     u0, u1, u2 = weights(inner[0])
     v0, v1, v2 = weights(inner[1])
     w0, w1, w2 = weights(inner[2])
-    row = int(shapes[s, NODES + 2])
-    plane = int(shapes[s, NODES + 1]) * row
+    plane, row = steps(shapes, s)
     start = int(shapes[s, COEFFICIENTS]) + (first[0] - 1) * plane + (first[1] - 1) * row + first[2] - 1
     d, gx, gy, gz = real(0.0), real(0.0), real(0.0), real(0.0)
     xx, yy, zz = real(0.0), real(0.0), real(0.0)

@@ -14,11 +14,10 @@ from tacgen.mechanics.load_stepping import halved
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import History, State, joined
 from tacgen.tensor_engine.batch import Batch
-from tacgen.tensor_engine.contact import Contacts, slip
+from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.inversion import least_jacobian
 from tacgen.tensor_engine.load_step import blocked
-from tacgen.tensor_engine.records import Forces
 
 Array = np.ndarray
 

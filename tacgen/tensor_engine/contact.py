@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from tacgen.physics import assembly
 from tacgen.physics import contact as kernels
 from tacgen.physics.runtime import launch
-from tacgen.tensor_engine.records import ContactArrays, Forces
+from tacgen.tensor_engine.shapes import Shapes
 
 
 def slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
@@ -20,21 +21,63 @@ def slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Contacts(ContactArrays):
-    """Barrier and friction between facets and the indenter of each scene."""
+class Forces:
+    """Contact at given positions: gap (s, f, q) [mm], `at` and normal (s, f, q, 3), normal force N (s, f, q) [N], force
+    on the gel (s, f, q, 3) [N], its negative derivative `tangent` (s, f, q, 3, 3), and `definite`; see
+    mechanics.coupled.ContactForces."""
+
+    gap: Tensor
+    at: Tensor
+    normal: Tensor
+    N: Tensor
+    force: Tensor
+    tangent: Tensor
+    definite: Tensor
+
+    @property
+    def total(self) -> Tensor:
+        """Sum of the normal forces (s,) [N]."""
+        return self.N.sum((1, 2))
+
+    @property
+    def mean_gap(self) -> Tensor:
+        """Force-weighted mean gap (s,) [mm]; 0 without contact."""
+        return (self.N * self.gap).sum((1, 2)) / self.total.clamp(min=1e-300)
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Barrier and friction between facets and the indenter of each scene.
+
+    conn (s, f, 4) node numbers; N (q, 4); areas (s, f, q), 0 where a facet does not exist; rotation
+    (s, 3, 3) and position (s, 3) of the indenter; (s,): dhat and offset [mm], kappa [MPa], friction, slip length eps
+    [mm]; anchor (s, f, q, 3) in the sensor's frame; of each node `ends` (s, n, 4): the facet of which it is a certain
+    corner, -1 if none, where forces are summed at nodes.
+    """
+
+    shapes: Shapes
+    conn: Tensor
+    N: Tensor
+    areas: Tensor
+    rotation: Tensor
+    position: Tensor
+    dhat: Tensor
+    kappa: Tensor
+    offset: Tensor
+    friction: Tensor
+    eps: Tensor
+    anchor: Tensor
+    ends: Tensor | None = None
 
     def shrunk(self, offset: Tensor) -> "Contacts":
         """With indenters shrunk by other offsets (s,) [mm]."""
         return replace(self, offset=offset)
 
-    def only(self, conn: Tensor, areas: Tensor, anchor: Tensor) -> "Contacts":
-        """With other facets."""
-        return replace(self, conn=conn, areas=areas, anchor=anchor)
-
     def points(self, x: Tensor) -> Tensor:
         """The points (s, f, q, 3) of nodes x (s, n, 3)."""
-        rows = torch.arange(len(x), device=x.device)[:, None, None]
-        return self.N @ x[rows, self.conn]
+        at = x.new_empty(*self.conn.shape[:2], len(self.N), 3)
+        launch(assembly.at_points, at.shape[:3], x.contiguous(), self.conn, self.N, at)
+        return at
 
     def local(self, at: Tensor) -> Tensor:
         """Points (s, ..., 3) in the indenters' frames."""
@@ -96,9 +139,3 @@ class Contacts(ContactArrays):
         through = torch.empty(wide[:-1], dtype=torch.bool, device=x.device)
         launch(kernels.blocked, wide[:-1], start, step, length, parts, reach, self.offset, *self.shapes.record, through)
         return through.flatten(1).any(1)
-
-    def max_step(self, gap: Tensor, p: Tensor, reach: Tensor) -> Tensor:
-        """Largest parts (s,) of steps p (s, n, 3) without tunnelling; see mechanics.barrier.Contact.max_step."""
-        way = torch.linalg.norm(self.points(p), dim=-1)
-        allowed = gap.clamp(min=0.0) + reach[:, None, None] / 2
-        return (allowed / way.clamp(min=1e-300)).flatten(1).amin(1).clamp(max=1.0)

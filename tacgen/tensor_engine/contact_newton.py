@@ -21,9 +21,8 @@ from tacgen.mechanics.contact_newton import (
 from tacgen.mechanics.line_search import ARMIJO_DECREASE
 from tacgen.physics import facets, steps
 from tacgen.physics.runtime import lanes, launch
-from tacgen.tensor_engine.contact import Contacts
+from tacgen.tensor_engine.contact import Contacts, Forces
 from tacgen.tensor_engine.indices import constant
-from tacgen.tensor_engine.records import Forces
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 

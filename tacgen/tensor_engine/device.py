@@ -18,11 +18,6 @@ _urgent: dict[str, torch.cuda.Stream] = {}  # the stream of this process on each
 _part = 1.0  # of a GPU's memory, that this process may use
 
 
-def by_kernels(x: torch.Tensor) -> bool:
-    """Whether work on a tensor is done by Triton's kernels rather than by plain operations: on a GPU."""
-    return bool(x.is_cuda)
-
-
 def usable() -> list[str]:
     """The devices for scenes: all GPUs that PyTorch can use."""
     return [f"cuda:{k}" for k in range(torch.cuda.device_count())]

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from helpers.scenes import TASK, make_plan, spoil
 
+from tacgen.base import machine
 from tacgen.base.errors import UserError
 from tacgen.batch import probe, worker_process
 
@@ -45,9 +46,9 @@ def test_scenes_that_take_long_are_judged_by_their_frames(tmp_path: Path, monkey
 
 
 def test_cores_are_counted_where_there_is_no_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(worker_process.os, "sched_getaffinity")
-    monkeypatch.setattr(worker_process.os, "cpu_count", lambda: 1)
-    assert worker_process.cores() == 1
+    monkeypatch.delattr(machine.os, "sched_getaffinity")
+    monkeypatch.setattr(machine.os, "cpu_count", lambda: 1)
+    assert machine.cores() == 1
 
 
 @pytest.mark.parametrize(("cores", "memory", "workers"), [(8, 64.0, 8), (64, 16.0, 16), (2, 0.5, 1)])

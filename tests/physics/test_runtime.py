@@ -40,3 +40,9 @@ def test_arrays_of_other_types_and_shapes_are_refused() -> None:
         shifted(np.zeros((2, 2), np.int64), (1.0, 2.0), 1.0)
     with pytest.raises(ValueError, match="last axes"):
         shifted(np.zeros((2, 3)), (1.0, 2.0), 1.0)
+
+
+def test_threads_of_other_axes_are_refused() -> None:
+    """A kernel would take the second axis for another, and write beyond its arrays."""
+    with pytest.raises(AssertionError, match="1 axes"):
+        call(moved, (1, 2), np.zeros((2, 2)), (1.0, 2.0), 7.0, np.zeros((2, 2)))

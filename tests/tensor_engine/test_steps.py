@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_mod
 
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.tensor_engine import contact_newton as newton
-from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import reduction, replay
 from tacgen.tensor_engine.contact_newton import Iterates, TriedStep
 from tacgen.tensor_engine.replay import Replays
@@ -101,7 +101,11 @@ def test_fractions_to_try_and_figures_of_steps(symmetric: bool) -> None:
     trial = TriedStep(X, start, load, gradient, g, p, bent, None if symmetric else whole, exists)
     least = newton.MIN_LINE_SEARCH_FRACTION if symmetric else newton.MIN_COUPLED_FRACTION
     fractions, figures = newton.tried(trial, contact, gap, reach, least)
-    first = contact.max_step(gap, p, reach)
+    alone = (
+        replace(one.contact, shape=SimpleNamespace(reach=float(far))) for one, far in zip(case.one, reach, strict=True)
+    )
+    parts = zip(alone, gap.cpu().numpy(), p.cpu().numpy(), strict=True)
+    first = tensor([one.max_step(space, step) for one, space, step in parts])
     assert same(fractions[:, 1], first)
     assert (fractions[:, 0] == 0).all()
     assert same(fractions[:, 2:] * 2, fractions[:, 1:-1])
@@ -211,7 +215,6 @@ def test_a_scene_solved_by_kernels_in_few_launches(monkeypatch: pytest.MonkeyPat
 def _count_launches(monkeypatch: pytest.MonkeyPatch, grids: type) -> None:
     scenes, launches, counts, keys = [small(SphereSdf(1.5), path((0.2, 0.1, -0.35)), friction=0.5)], Launches(), {}, []
     (wanted,) = solve(batch(scenes), scenes)
-    monkeypatch.setattr(devices, "by_kernels", lambda x: True)
     for owner, name in (*((Dense, each) for each in ("factor", "schur", "forward", "expand")),
                         (grids, "__call__"), (wp, "launch")):  # fmt: skip
         launches.as_one(owner, name, monkeypatch)
