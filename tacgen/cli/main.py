@@ -263,11 +263,9 @@ def show_list(
     from tacgen.report.catalogue import CATALOGUE_KINDS
 
     if kind and kind not in CATALOGUE_KINDS:
-        from tacgen.sensor.validation_messages import suggest
+        from tacgen.sensor.validation_messages import unknown
 
-        raise UserError(
-            f"{kind}: unknown kind{suggest(kind, CATALOGUE_KINDS)}; there are: {', '.join(CATALOGUE_KINDS)}"
-        )
+        raise UserError(f"{kind}: {unknown('kind', kind, CATALOGUE_KINDS)}")
     listed = {name: CATALOGUE_KINDS[name]() for name in ([kind] if kind else CATALOGUE_KINDS)}
     lines: list[str] = []
     for name, entries in listed.items():

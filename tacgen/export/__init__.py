@@ -83,9 +83,9 @@ def export(
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
-        from tacgen.sensor.validation_messages import suggest
+        from tacgen.sensor.validation_messages import unknown
 
-        raise UserError(f"{kind}: unknown format{suggest(kind, EXPORTERS)}; there are: {', '.join(EXPORTERS)}")
+        raise UserError(f"{kind}: {unknown('format', kind, EXPORTERS)}")
     from tacgen.bundle.splits import empty_parts
 
     sources = bundles(source, merge=merge)

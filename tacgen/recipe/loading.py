@@ -201,6 +201,8 @@ def _set(tree: Tree, text: str) -> Tree:
         if path[0] == "sensor" and len(path) > 1:
             key = path_text.strip().removeprefix("sensor").lstrip(".")
             return tree.replaced(("sensor_overrides", key), value)
+        if path[0] in Sensor.model_fields and path[0] not in Recipe.model_fields:
+            raise LookupError(f"{path[0]} is a key of the sensor, did you mean sensor.{path_text.strip()}?")
         return tree.replaced(path, value)
     except (ValueError, LookupError) as error:
         raise UserError(f"--set {text}: {error}") from None

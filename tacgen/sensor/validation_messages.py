@@ -38,6 +38,37 @@ BOUND_TEXTS = {
     "less_than": ("less than", "lt"),
     "less_than_equal": ("at most", "le"),
 }
+MIN_LIKENESS = 0.65  # difflib's ratio above which one word is taken for a misspelling of another [-]
+# words of other simulators and of papers for keys, movements, outputs and datasets
+OTHER_WORDS = {
+    "friction": "mu mu_s mu_k coefficient coulomb friction_coefficient coefficient_of_friction",
+    "press": "push indent touch approach poke probe tap",
+    "slide": "shear drag move translate",
+    "twist": "rotate turn spin torsion",
+    "tilt": "rock roll",
+    "hold": "wait pause stay dwell",
+    "release": "retract unload lift_off withdraw",
+    "close": "grip squeeze",
+    "indenter": "object probe shape",
+    "trajectory": "path motion movements poses",
+    "quality": "resolution mesh_size",
+    "rgb": "image images img picture photo camera color colour tactile_image",
+    "height": "depth depth_map heightmap height_map deformation",
+    "normals": "normal_map surface_normals",
+    "traction": "pressure shear_traction contact_map slip",
+    "force": "wrench torque ft net_force",
+    "stress": "nodal_stress cauchy_stress von_mises",
+    "nodal_stress": "stress cauchy_stress",
+    "displacement": "u displacements",
+    "flow": "optical_flow",
+    "markers": "dots marker_flow marker_motion",
+    "sensor_overrides": "gel plate coating walls leds camera",
+    "youngs_modulus_mpa": "e modulus elasticity stiffness young youngs",
+    "poissons_ratio": "nu poisson",
+    "shape": "type kind geometry",
+    "radius_mm": "r",
+    "fillet_mm": "edge_radius chamfer rounding",
+}
 
 
 @dataclass(frozen=True)
@@ -131,9 +162,9 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Issue:
         here = [each for each in _kinds(model, loc[:-1]) if _is_model(each)]
         if other := _of_another_kind(model, loc):
             return Issue(path, other, at_key=True)
-        hint = suggest(str(loc[-1]), {name for each in here for name in each.model_fields})
-        meant = hint.removeprefix(", did you mean ").rstrip("?")
-        return Issue(path, f"unknown key{hint}", at_key=True, meant=meant)
+        names = list(dict.fromkeys(name for each in here for name in each.model_fields))
+        meant = nearest(str(loc[-1]), names)
+        return Issue(path, unknown("key", str(loc[-1]), names), at_key=True, meant=meant)
     if kind == "missing":
         return Issue(path, f"{MISSING_MESSAGE}{needs(model, loc)}", at_key=True)
     if kind in TYPE_NOUNS:
@@ -170,11 +201,25 @@ def one_of(given: Any, names: list[str]) -> str:
     return f"must be {expected} (got {describe(given)}){hint}"
 
 
+def unknown(noun: str, word: str, known: Iterable[str]) -> str:
+    """`unknown key, did you mean X?; there are: W, X`: every name, after the one that was probably meant."""
+    return f"unknown {noun}{suggest(word, known)}; there are: {', '.join(known)}"
+
+
 def suggest(word: str, known: Iterable[str]) -> str:
-    """`, did you mean X?` when something known is close to `word`, else nothing."""
-    close = difflib.get_close_matches(word, ordered := sorted(known), n=1, cutoff=0.6)
-    close = close or [name for name in ordered if name.startswith(f"{word}_")]  # x_mm of x
-    return f", did you mean {close[0]}?" if close else ""
+    """`, did you mean X?` when something known is probably meant by `word`, else nothing."""
+    name = nearest(word, known)
+    return f", did you mean {name}?" if name else ""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The known name that is probably meant by `word`, or "": one that begins so, as x_mm with x, one spelt alike, or
+    another word for it."""
+    ordered = sorted(known)
+    close = [name for name in ordered if name.startswith(word if len(word) > 2 else f"{word}_")]
+    close = close or difflib.get_close_matches(word, ordered, n=1, cutoff=MIN_LIKENESS)
+    close = close or [name for name in ordered if word.lower() in OTHER_WORDS.get(name, "").split()]
+    return close[0] if close else ""
 
 
 def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:

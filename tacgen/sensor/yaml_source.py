@@ -81,6 +81,8 @@ class Tree:
         """
         data = put(self.data, path, other.data)
         spots = {p: s for p, s in self.spots.items() if p[: len(path)] != path}
+        created = [path[:n] for n in range(1, len(path)) if at(self.data, path[:n]) is None]
+        spots.update({up: other.spot(()) for up in created})
         spots.update({path + p: s for p, s in other.spots.items()})
         return Tree(data, spots)
 

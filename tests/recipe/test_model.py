@@ -182,7 +182,14 @@ def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("contact.frction=1", "contact.frction: unknown key, did you mean friction?"),
+        ("contact.frction=1", "contact.frction: unknown key, did you mean friction?; there are: friction"),
+        ("contact.mu=1", "contact.mu: unknown key, did you mean friction?; there are: friction"),
+        ("start.speed=1", "unknown key; there are: x_mm, y_mm, clearance_mm, yaw_deg, tilt_deg, tilt_axis_deg"),
+        ("sensor.camera.dist=9", "response, noise, drift, jpeg_quality, source"),
+        ("camera.distance_mm=9", "camera is a key of the sensor, did you mean sensor.camera.distance_mm?"),
+        ("speed.mm=9", "uncertainty, may_miss, folds, outputs, quality, vary"),
+        ("outputs=[depth]", "(got 'depth'), did you mean height?"),
+        ("outputs=[image]", "(got 'image'), did you mean rgb?"),
         ("trajectory[5].hold.frames=1", "[5] is past the end: there are 2 entries, counted from 0"),
         ("name.x=1", "x needs a mapping, and there is 'test'"),
         ("indenter.radius_mm", "needs the form path=value, such as indenter.radius_mm=3"),
