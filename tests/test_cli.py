@@ -13,6 +13,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import tacgen.batch
+from tacgen.base import array_cache
+from tacgen.base.compiled import COMPILED_ENTRY
 from tacgen.batch.local import outcome
 from tacgen.batch.probe import PlanCost
 from tacgen.bundle.resume import SceneResult
@@ -266,15 +268,43 @@ def test_validate_tells_recipes_and_sensors_apart(tmp_path: Path):
     assert "trajectory (a list), outputs" in tacgen_("validate", str(bad)).stderr
 
 
-def test_plan_prints_text_csv_and_json():
+def test_that_code_is_compiled_is_said_once(
+    batch: Callable[[Batch], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    load = plan.load
+
+    def compiling(*args: Any) -> plan.Plan:
+        array_cache.tell(COMPILED_ENTRY)
+        array_cache.tell(COMPILED_ENTRY)
+        return load(*args)
+
+    def run(plan: Any, folder: Path, *, on_event: Callable[[dict[str, Any]], None], **more: Any) -> list[SceneResult]:
+        on_event({"event": "compiling", "scene": plan.rows[0].name})
+        return all_ok(plan, folder, on_event=on_event, **more)
+
+    monkeypatch.setattr(plan, "load", compiling)
+    batch(run)
+    for _ in range(2):  # commands in one process do not share it
+        assert tacgen_("run", "quickstart", "-o", str(tmp_path)).stderr.count("compiling") == 1
+    assert tacgen_("validate", "quickstart").stderr.count("compiling") == 1
+
+
+def test_plan_prints_text_csv_and_json(monkeypatch: pytest.MonkeyPatch):
     assert tacgen_("plan", "batch").stdout.splitlines()[0].split()[:3] == ["scene", "frames", "seed"]
     table = list(csv.DictReader(io.StringIO(tacgen_("plan", "batch", "--csv").stdout)))
     rows = plan.load(assets.recipe_path("batch")).rows
     assert [float(line["start.x_mm"]) for line in table] == [row.values["start.x_mm"] for row in rows]
     found = json.loads(tacgen_("plan", "batch", "--json").stdout)
     assert [(scene["key"], scene["values"]) for scene in found["scenes"]] == [(row.key, row.values) for row in rows]
+    monkeypatch.setenv("COLUMNS", "80")
+    many = tacgen_("plan", "domain_randomised").stdout.splitlines()
+    assert max(map(len, many)) <= 80
+    heads = [line.split() for line in many if line.split()[:1] == ["scene"]]
+    assert [head[1] for head in heads[:2]] == ["frames", "start.x_mm"]  # as much of the path as is unique
+    assert sum(len(head) - 1 for head in heads) == 2 + len(plan.load(assets.recipe_path("domain_randomised")).paths)
+    assert "cylinder radius_mm=3 fillet_mm=0.5" in "\n".join(many)
     long = tacgen_("plan", "batch", "--set", "vary.samples=50").stdout
-    assert long.splitlines()[-1] == "... 10 more (--csv prints all)"
+    assert long.splitlines()[-1] == "... 30 more (--csv prints all)"  # two blocks of 20 rows
 
 
 def test_init_writes_a_sensor_that_validates_and_renders_where_it_is_lit(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import click
 import typer
 from typer.core import TyperGroup
 
-from tacgen.base import output_file, regular_file
+from tacgen.base import array_cache, compiled, output_file, regular_file
 from tacgen.base.errors import LeftOut, UserError, printable
 from tacgen.base.terminal import dropping, open_standard_streams, say
 
@@ -29,6 +29,7 @@ DISK_ERROR_NUMBERS = tuple(
 )
 MAX_SCENE_COUNT_DIGITS = 7  # of a number of scenes, which are a million at most
 MIN_ADDRESS_SPACE_BYTES = 1_100_000_000  # of a small solve [bytes]; with much less, OpenBLAS ends the process
+noted: set[str] = set()  # lines that this command has printed and a run need not repeat
 SCARCITY_ERRORS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
@@ -58,6 +59,7 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
+        noted.clear()
         try:
             with _left_out_told(), _usage_printable(), regular_file.noting():
                 return super().invoke(ctx)
@@ -201,9 +203,19 @@ def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)
         raise MemoryError
     from tacgen.recipe import assets, plan
 
-    planned = plan.load(assets.recipe_path(recipe), sets or (), shard)
+    with array_cache.telling(_compiling):
+        planned = plan.load(assets.recipe_path(recipe), sets or (), shard)
     warn(planned.warnings)
     return planned
+
+
+def _compiling(kind: str) -> None:
+    """Say, once, that code is compiled, which makes the first command on a machine wait."""
+    from tacgen.report.progress import COMPILING
+
+    if kind == compiled.COMPILED_ENTRY and COMPILING not in noted:
+        noted.add(COMPILING)
+        say(COMPILING, err=True)
 
 
 def warn(texts: Iterable[str]) -> None:
@@ -243,7 +255,7 @@ def priced(plan: Any, workers: int) -> dict[str, Any]:
 
     rows = probe.chosen(plan)
     say(f"timing {len(rows)} of {len(plan.rows)} scenes, for {probe.TIMING_S:g} s at most", err=True)
-    with Progress(len(rows), sum(row.frames for row in rows)) as progress:
+    with Progress(len(rows), sum(row.frames for row in rows), noted=noted) as progress:
         cost, memory = probe.probe(plan, workers, on_event=progress)
     text = f"{cost.text(min(workers, len(plan.rows)))}; {memory:.2g} GB of memory a worker"
     return {**cost.plain(), "memory_gb": round(memory, 3), "workers": workers, "text": text}

@@ -19,6 +19,7 @@ from tacgen.cli.common import (
     Overwrite,
     app,
     line,
+    noted,
     plan_of,
     priced,
     probe,
@@ -108,7 +109,7 @@ def run(
         from tacgen.report import dataset_card
         from tacgen.report.progress import Progress
 
-        with Progress(len(plan.rows), sum(plan.frames)) as progress:
+        with Progress(len(plan.rows), sum(plan.frames), noted=noted) as progress:
 
             def on_event(event: dict[str, Any]) -> None:
                 progress(event)
@@ -223,6 +224,8 @@ def show_plan(
     as_json: AsJson = False,
 ) -> None:
     """Print the table of scenes of a recipe, or with --estimate their cost."""
+    from shutil import get_terminal_size
+
     from tacgen.recipe import plan_table
 
     plan = plan_of(recipe, sets, shard_of(shard))
@@ -230,7 +233,8 @@ def show_plan(
         cost = priced(plan, workers_of(workers))
         show_result(cost, f"{counted(len(plan.rows), 'scene')} of {plan.name}: {cost['text']}", as_json)
         return
-    tell((plan_table.as_json if as_json else plan_table.as_csv if as_csv else plan_table.as_text)(plan), end=False)
+    made = plan_table.as_json(plan) if as_json else plan_table.as_csv(plan) if as_csv else ""
+    tell(made or plan_table.as_text(plan, get_terminal_size().columns), end=False)
 
 
 @app.command()

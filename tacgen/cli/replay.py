@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from tacgen.base.errors import UserError
-from tacgen.cli.common import AsJson, Overwrite, plan_of, probe, show_result, warn, workers_of, writing
+from tacgen.cli.common import AsJson, Overwrite, noted, plan_of, probe, show_result, warn, workers_of, writing
 
 
 def replay(
@@ -68,7 +68,7 @@ def _run(plan: Any, out: Path, workers: int, overwrite: bool) -> Any:
     from tacgen import batch
     from tacgen.report.progress import Progress
 
-    with Progress(len(plan.rows), sum(plan.frames)) as progress:
+    with Progress(len(plan.rows), sum(plan.frames), noted=noted) as progress:
         return batch.run(plan, out, workers=workers, overwrite=overwrite, on_event=progress)
 
 

@@ -3,23 +3,54 @@
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
+from tacgen.sensor.yaml_source import format_path, parse_path
 
-MAX_PLAN_TABLE_ROWS = 40  # of the aligned text
+MAX_PLAN_TABLE_ROWS = 40  # of the aligned text, in all its blocks
+MIN_PLAN_TABLE_ROWS = 8  # of each block
 
 
-def as_text(plan: Plan) -> str:
-    """Aligned columns; for a long plan the first rows alone."""
-    table = [*_cells(plan, plan.rows[:MAX_PLAN_TABLE_ROWS], short=True)]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
-    if len(plan.rows) > MAX_PLAN_TABLE_ROWS:
-        lines.append(f"... {len(plan.rows) - MAX_PLAN_TABLE_ROWS} more (--csv prints all)")
-    return "\n".join(lines) + "\n"
+def as_text(plan: Plan, width: int) -> str:
+    """Aligned columns, in blocks of at most `width` characters below each other; for a long plan the first rows alone.
+
+    A varied path is headed by as much of its end as makes it unique.
+    """
+    known, *rows = _cells(plan, plan.rows[:MAX_PLAN_TABLE_ROWS], short=True)
+    heads = known[: len(known) - len(plan.paths)] + _ends(plan.paths)
+    columns = [[_cut(cell, width // 2) for cell in column] for column in zip(heads, *rows, strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    blocks, left = [[0]], width - widths[0]
+    for i in range(1, len(columns)):
+        if (left := left - 2 - widths[i]) < 0 and len(blocks[-1]) > 1:
+            blocks.append([0])
+            left = width - widths[0] - 2 - widths[i]
+        blocks[-1].append(i)
+    shown = min(len(rows), max(MIN_PLAN_TABLE_ROWS, MAX_PLAN_TABLE_ROWS // len(blocks)))
+    tables = [
+        "\n".join("  ".join(columns[i][k].rjust(widths[i]) for i in block) for k in range(shown + 1))
+        for block in blocks
+    ]
+    if len(plan.rows) > shown:
+        tables[-1] += f"\n... {len(plan.rows) - shown} more (--csv prints all)"
+    return "\n\n".join(tables) + "\n"
+
+
+def _ends(names: Sequence[str]) -> list[str]:
+    """The shortest end of each path, from a key on, that no other path has: `depth_mm`, `leds[0].power`."""
+    paths = [parse_path(name) for name in names]
+    starts = [[i for i, step in enumerate(path) if isinstance(step, str)][::-1] for path in paths]
+    used = Counter(path[i:] for path, places in zip(paths, starts, strict=True) for i in places)
+    pairs = zip(paths, starts, strict=True)
+    return [format_path(next((p[i:] for i in places if used[p[i:]] == 1), p)) for p, places in pairs]
+
+
+def _cut(text: str, length: int) -> str:
+    return text if len(text) <= length else text[: length - 3] + "..."
 
 
 def as_csv(plan: Plan) -> str:
@@ -51,4 +82,6 @@ def _cells(plan: Plan, rows: Sequence[Row], *, short: bool) -> Iterator[list[str
 def _cell(value: Any, short: bool) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if short else repr(value)
+    if short and isinstance(value, dict):
+        return " ".join(f"{key}={_cell(part, short)}" for key, part in value.items())
     return value if isinstance(value, str) else json.dumps(value)

@@ -3,11 +3,14 @@
 import os
 import sys
 import time
+from collections.abc import Iterable
 from typing import Any, TextIO
 
 from tacgen.base.errors import printable
 from tacgen.base.terminal import dropping
 from tacgen.report.sheet import duration
+
+COMPILING = "compiling: half a minute, once for this version on this machine"
 
 
 class Progress:
@@ -17,16 +20,19 @@ class Progress:
     stream does not take is dropped, and the run goes on.
     """
 
-    def __init__(self, scenes: int, frames: int, stream: TextIO | None = None) -> None:
+    def __init__(self, scenes: int, frames: int, stream: TextIO | None = None, noted: Iterable[str] = ()) -> None:
+        """`noted`: lines that were printed already, and are not repeated."""
         self.stream = stream or sys.stderr
         self.scenes, self.total = scenes, frames
         self.under_way: dict[str, int] = {}  # scene -> number of its finished frames
         self.done = 0  # frames of finished scenes
-        self.kept = 0  # of these, frames of scenes that existed before this run; not used for the estimate
         self.finished = 0
-        self.noted: set[str] = set()
-        self.started = time.monotonic()  # or the time of the first frame: what comes before it happens once
-        self.ahead: set[str] = set()  # scenes whose first frame came before any scene was finished; not used either
+        self.noted = set(noted)
+        # the estimate is made from the frames since `started`, the time of the first frame that nothing has held up
+        self.started = time.monotonic()
+        self.unmeasured = 0  # frames that existed before this run, or were made before something held it up
+        self.ahead: set[str] = set()  # scenes whose first frame since then came before any scene was finished: not used
+        self.measured = False  # whether a scene was finished since then
         self.bar: Any = None
         self.task: Any = None
 
@@ -59,13 +65,15 @@ class Progress:
         if event["event"] == "frame":
             if not self.ahead:
                 self.started = time.monotonic()
-            if self.done == self.kept:
+            if not self.measured:
                 self.ahead.add(name)
             self.under_way[name] = event["frame"]
             self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
         elif event["event"] == "compiling":
-            self._say_once("compiling: a quarter of a minute, once for this version on this machine")
+            self._measure_again()
+            self._say_once(COMPILING)
         elif event["event"] == "tracing":
+            self._measure_again()
             self._say_once("tracing light through the gel: seconds to minutes, once for this sensor and quality")
         elif event["event"] == "note":
             self._say_once(f"note: {event['note']}", name)
@@ -78,11 +86,17 @@ class Progress:
             self.finished += 1
             self.done += event["frames"]
             before = not event["seconds"] and event["status"] != "failed"  # made by an earlier run
-            self.kept += event["frames"] if before else 0
+            self.unmeasured += event["frames"] if before else 0
+            self.measured = self.measured or not before
             good = event["status"] == "ok"
             state = "kept" if before and good else f"kept, {event['status']}" if before else event["status"]
             text = f"{name}: {state}" + (f": {event['reason']}" if event["reason"] else "")
             self._say(text, lasting=not good)
+
+    def _measure_again(self) -> None:
+        """Estimate the time left from later frames alone: what holds up the next one happens once."""
+        self.ahead, self.measured = set(), False
+        self.unmeasured = self.done + sum(self.under_way.values())
 
     def _say_once(self, text: str, scene: str = "") -> None:
         """Print a line that holds for all scenes of a run only once."""
@@ -104,7 +118,7 @@ class Progress:
 
     def _left(self, frames: int) -> str:
         """`about 40 s left`, as soon as it can be estimated."""
-        made = frames - self.kept - len(self.ahead)
+        made = frames - self.unmeasured - len(self.ahead)
         if made <= 0 or frames >= self.total:
             return ""
         return f"about {duration((time.monotonic() - self.started) * (self.total - frames) / made)} left"

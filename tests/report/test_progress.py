@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from tacgen.report.progress import Progress
+from tacgen.report.progress import COMPILING, Progress
 
 
 class Terminal(io.StringIO):
@@ -69,7 +69,7 @@ def test_scenes_of_an_earlier_run_are_said_to_be_kept():
 
 
 def test_what_was_there_already_and_what_comes_once_say_nothing_about_the_time_left(monkeypatch: pytest.MonkeyPatch):
-    clock = iter([0.0, 50.0, 60.0, 60.0])
+    clock = iter([0.0, 50.0, 500.0, 510.0, 510.0])
     monkeypatch.setattr("tacgen.report.progress.time.monotonic", lambda: next(clock))
     stream = io.StringIO()
     with Progress(2, 8, stream) as progress:
@@ -79,12 +79,21 @@ def test_what_was_there_already_and_what_comes_once_say_nothing_about_the_time_l
         progress({"event": "tracing", "scene": "scene-00001"})
         progress(frame("scene-00001", 1))
         progress({"event": "compiling", "scene": "scene-00001"})
+        progress(frame("scene-00001", 2))  # after the compiler: the next one says how long a frame takes
+        progress({"event": "retry", "scene": "scene-00009", "reason": "so that a line is printed"})
         assert "left" not in stream.getvalue()
-        progress(frame("scene-00001", 2))
+        progress(frame("scene-00001", 3))
         progress({"event": "retry", "scene": "scene-00009", "reason": "so that a line is printed"})
     assert stream.getvalue().count("compiling") == 1
     assert stream.getvalue().count("tracing") == 1
-    assert "(about 20 s left)" in stream.getvalue()  # 10 s from the first frame to the second, two to go
+    assert "(about 10 s left)" in stream.getvalue()  # 10 s from the second frame to the third, one to go
+
+
+def test_what_was_said_while_the_recipe_was_read_is_not_repeated():
+    stream = io.StringIO()
+    with Progress(2, 8, stream, [COMPILING]) as progress:
+        progress({"event": "compiling", "scene": "scene-00001"})
+    assert stream.getvalue() == ""
 
 
 def test_a_bar_on_a_terminal_unless_colour_is_unwanted(monkeypatch: pytest.MonkeyPatch):
