@@ -52,8 +52,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
 
 def _depths(recipe: Recipe, sensor: Sensor) -> list[Issue]:
     """A press must be less deep than the gel is thick under the start."""
-    gel, start = sensor.gel, recipe.start
-    thick = gel.thickness_mm - gel.drop_mm(start.x_mm, start.y_mm)
+    thick = usual_sizes.thickness_mm(recipe, sensor.gel)
     return [
         Issue(
             ("trajectory", i, "press", "depth_mm"),

@@ -88,7 +88,7 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
     recipe, sensor, tree, vary = loaded.recipe, loaded.sensor, loaded.tree, loaded.recipe.vary
     told = usual_values.warnings(sensor, loaded.sensor_tree) if loaded.sensor_tree else ()
     if vary is None:
-        told += tuple(odd.place(tree) for odd in usual_sizes.unusual(recipe))
+        told += tuple(odd.place(tree) for odd in usual_sizes.unusual(recipe, sensor.gel))
         other, starts = loaded.other, loaded.starts
         if other is not None and other is not sensor:
             told += tuple(f"{other.name}: {format_path(odd.path)}: {odd.message}" for odd in unusual(other.gel))
@@ -126,7 +126,7 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
         frames.append(row.frames if row else 0)
         drawn_gels = unusual(row.sensor.gel) if row and drawn_gel else ()
         of_gel = [replace(strange, path=("sensor", *strange.path)) for strange in drawn_gels]
-        for strange in (*of_gel, *(usual_sizes.unusual(row.recipe) if row else ())):
+        for strange in (*of_gel, *(usual_sizes.unusual(row.recipe, row.sensor.gel) if row else ())):
             odd.setdefault(strange.path, []).append((f"scene-{index:05d}", strange))
         for problem in wrong:
             alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
