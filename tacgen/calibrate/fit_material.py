@@ -7,9 +7,10 @@ all layers together, so m needs no other solve. H_i is quasi-linear viscoelastic
 to grow as it would in the elastic gel.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -18,6 +19,7 @@ from scipy.stats import t as student
 
 from tacgen.calibrate.plausible import off
 from tacgen.calibrate.press_forces import FIRST_TOUCH_RANGE, Curves, Measured
+from tacgen.sensor.yaml_source import KeyPath, format_path
 
 Array = np.ndarray
 CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals
@@ -49,6 +51,13 @@ class Estimate:
         reach = "at the end of its range" if self.bound else f"95 %: {self.low:.4g} to {self.high:.4g}"
         return f"{name}: {self.value:.4g}{unit} ({reach})"
 
+    def told_of(self, changes: Mapping[KeyPath, Any]) -> Iterator[str]:
+        """Each changed modulus with its interval, as `told`: this estimate is the factor that it contains."""
+        for path, value in changes.items():
+            if str(path[-1]).endswith("_mpa"):
+                low, high = (value * end / self.value for end in (self.low, self.high))
+                yield replace(self, value=value, low=low, high=high).told(format_path(path), " MPa")
+
 
 @dataclass(frozen=True)
 class MaterialFit:
@@ -60,7 +69,11 @@ class MaterialFit:
     measured: Measured
 
     def __getitem__(self, name: str) -> float:
-        return next(estimate.value for estimate in self.estimates if estimate.name == name)
+        return self.estimate(name).value
+
+    def estimate(self, name: str) -> Estimate:
+        """The parameter of this name."""
+        return next(estimate for estimate in self.estimates if estimate.name == name)
 
     @property
     def off(self) -> Array:

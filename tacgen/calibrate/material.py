@@ -72,8 +72,9 @@ class Material(SensorFit):
             yield f"  {depth:g} mm: {force:.4g} N, fitted {model:.4g} N, {100 * off:+.1f} %"
         for name, fit in self.simpler.items():
             yield f"{name} alone: off by {100 * fit.worst:.1f} % at most, modulus {fit['modulus']:.4g} times the file's"
+        yield from self.fitted.estimate("modulus").told_of(self.changes)
         for key, value in self.changes.items():
-            if key[-1] != "source":
+            if key[-1] != "source" and not str(key[-1]).endswith("_mpa"):
                 yield f"{format_path(key)}: {value}"
 
     def plain(self) -> dict[str, Any]:
@@ -110,7 +111,7 @@ def _changes(row: Row, second: str, fitted: MaterialFit) -> dict[KeyPath, Any]:
     out: dict[KeyPath, Any] = {}
     if second.startswith("sensor."):
         out[parse_path(second)[1:]] = digits(fitted["second"])
-    factor = next(e for e in fitted.estimates if e.name == "modulus")
+    factor = fitted.estimate("modulus")
     count = sum(e.name.startswith("tau") for e in fitted.estimates)
     terms = [(digits(fitted[f"g{i}"]), digits(fitted[f"tau{i}"])) for i in range(1, count + 1)]
     series = [{"g": g, "tau_s": tau} for g, tau in terms]

@@ -23,7 +23,7 @@ from tacgen.optics.surface_grid import Untouched
 from tacgen.recipe import assets
 from tacgen.report import fit_figures
 from tacgen.sensor.model import LitSensor
-from tacgen.sensor.yaml_source import KeyPath, format_path
+from tacgen.sensor.yaml_source import KeyPath
 
 UNIT_SOURCE = "by tacgen calibrate unit"
 MIN_EXPLAINED_SHARE = 0.3  # least share of the pictures' changes that dents of the given balls explain
@@ -94,9 +94,6 @@ class Unit(SensorFit):
             told = self.lights.unseen or "too few presses to hold any out"
             kept = "" if self.lit else ": NOT BETTER, the file's lights are kept (see tacgen calibrate optics)"
             yield f"pictures of presses not seen by the fit of the lights: {told}{kept}"
-        for key, value in self.changes.items():
-            if key[-1] in ("thickness_mm", *(k for layer in self.sensor.gel.layers for k in moduli(layer))):
-                yield f"{format_path(key)}: {value}"
 
     def found(self) -> Iterator[str]:
         """Each number with its interval."""
@@ -104,11 +101,7 @@ class Unit(SensorFit):
         yield fitted.thickness.told("thickness", " mm") if self.asked.thickness else (
             f"thickness: {gel.thickness_mm:g} mm, the file's")  # fmt: skip
         yield fitted.modulus.told("moduli", " times the file's")
-        for layer in gel.layers:
-            for key in moduli(layer):
-                low, value, high = (getattr(layer, key) * m for m in (
-                    fitted.modulus.low, fitted.modulus.value, fitted.modulus.high))  # fmt: skip
-                yield f"{layer.name} {key}: {value:.4g} (95 %: {low:.4g} to {high:.4g})"
+        yield from fitted.modulus.told_of(self.changes)
         yield fitted.zero.told("zero of the gauge", " N")
         names = self.photos.recordings
         for k, lag in fitted.lags.items():

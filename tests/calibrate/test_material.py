@@ -1,5 +1,6 @@
 """Material constants from forces: found where they are known, within the bounds that the fit itself states."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,13 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
     assert done.exit_code == 0, done.output
     assert "correlation of modulus and zero: -0." in done.stdout
     assert "modulus alone: off by" in done.stdout
+    told = re.search(rf"^{re.escape(MODULUS)}: (\S+) MPa \(95 %: (\S+) to (\S+)\)$", done.stdout, re.M)
+    assert told, done.stdout
+    value, low, high = map(float, told.groups())
+    assert low < value < high
+    assert "times the file's (95 %: " in done.stdout
     layer, before = (loading.read_sensor(path)[0].gel.layers[0] for path in (mine, assets.sensor_path("gelsight_mini")))
+    assert layer.youngs_modulus_mpa == value
     assert layer.youngs_modulus_mpa == pytest.approx(1.2 * before.youngs_modulus_mpa, rel=4e-3)
     assert layer.source.startswith(f"{before.source}; moduli times 1.")
     assert layer.source.endswith("fitted to measured forces of a sphere (ours.csv) by tacgen calibrate material")

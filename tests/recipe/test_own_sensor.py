@@ -132,7 +132,7 @@ def test_usual_recipes_have_no_such_warning() -> None:
         ("trajectory[0].press.depth_mm=2.8", ""),
         (
             "vary={samples: 3, over: {contact.friction: {uniform: [50, 60]}}}",
-            "scene-00000: contact.friction: a coefficient of 55.7895; that of gels is at most about 3 (and 2 more scenes)",
+            "contact.friction: a coefficient of 55.7895; that of gels is at most about 3 (and 2 more scenes)",
         ),
     ],
 )
