@@ -28,6 +28,7 @@ from tacgen.bundle.splits import SPLIT_FRACTIONS, divide
 from tacgen.outputs import LAYOUT
 
 Item = dict[str, Any]
+MAX_PIXEL_VALUE = 255  # of a picture in bytes
 MAX_OPEN_FILES = 128  # most open files in each process
 # bytes of a frame up to which a dataset is read for a whole scene at once and kept in memory
 MAX_CACHED_FRAME_BYTES = 1024
@@ -44,10 +45,13 @@ class TactileDataset:
         fields: names below /frames or /fields of a bundle: rgb, force, pressure, markers, nodal_stress, ...
         merge: `path` may hold several data sets in folders of their own, which are taken as one.
         split: the part of the scenes, chosen by `seed`; no scene is in two parts. `all`: every scene.
-        fractions: shares of scenes for train, val and test.
+        fractions: shares of scenes, or of objects, for train, val and test.
+        by_object: split by indenters, so that no object is in two parts: meshes by their file, others by their shape.
         unique: leave out frames from a fold of the gel on, whose forces may depend on the step size; `left_out` is
             their number.
         subtract_reference: subtract the untouched sensor from rgb (then int16), height and markers (float32).
+        float32: all fields as float32, pictures from 0 to 1 (their change from -1 to 1).
+        channels_first: images and maps (h, w, c) as (c, h, w), for convolutions; those without channels stay (h, w).
         transform: a function that is applied to each item.
 
     Raises:
@@ -65,13 +69,16 @@ class TactileDataset:
         merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
         fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
+        by_object: bool = False,
         seed: int = 0,
         unique: bool = False,
         subtract_reference: bool = False,
+        float32: bool = False,
+        channels_first: bool = False,
         transform: Callable[[Item], Any] | None = None,
     ) -> None:
         good = [scene for scene in dataset.scenes(Path(path), merge=merge) if scene.attrs["status"] == "ok"]
-        self.scenes = divide(good, split, fractions, seed)
+        self.scenes = divide(good, split, fractions, seed, by_object=by_object)
         held: list[tuple[Path, Collection[str]]] = [(scene.path, scene.shapes) for scene in self.scenes]
         for place, paths in held or [(Path(path), LAYOUT)]:
             stored = field_names.short(paths).values()
@@ -80,6 +87,7 @@ class TactileDataset:
             except UserError as error:
                 raise UserError(f"{place}: {error}") from None
         self.subtract_reference, self.transform = subtract_reference, transform
+        self.float32, self.channels_first = float32, channels_first
         each = [np.flatnonzero(scene[UNIQUE_PATH]) if unique else np.arange(scene.frames) for scene in self.scenes]
         self._frame = np.concatenate([*each, np.zeros(0, np.int64)])
         self.left_out = sum(scene.frames for scene in self.scenes) - len(self._frame)
@@ -106,7 +114,7 @@ class TactileDataset:
             self._forget()
         item: Item = {"scene": number, "frame": frame}
         for name, path in self.fields.items():
-            item[name] = self._values(number, name, path, frame)
+            item[name] = self._formed(self._values(number, name, path, frame), path)
         return self.transform(item) if self.transform else item
 
     def __getstate__(self) -> dict[str, Any]:
@@ -122,6 +130,15 @@ class TactileDataset:
         self._process = os.getpid()
         self._files: OrderedDict[Path, tuple[Any, dict[str, FrameReader]]] = OrderedDict()
         self._kept: dict[tuple[int, str], np.ndarray] = {}  # small datasets and references
+
+    def _formed(self, values: np.ndarray, path: str) -> np.ndarray:
+        """Values of a dataset in the type and the order of axes that are asked for."""
+        axes = LAYOUT[path].axes.split()
+        if self.float32:
+            values = values.astype(np.float32) / np.float32(MAX_PIXEL_VALUE if axes[-1] == "rgb" else 1)
+        if self.channels_first and axes[1:3] == ["row", "column"] and len(axes) == 4:
+            values = np.ascontiguousarray(np.moveaxis(values, -1, 0))
+        return values
 
     def _values(self, number: int, name: str, path: str, frame: int) -> np.ndarray:
         shape = self.scenes[number].shapes[path]
@@ -184,8 +201,11 @@ class TactilePairs:
         merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
         fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
+        by_object: bool = False,
         seed: int = 0,
         subtract_reference: bool = False,
+        float32: bool = False,
+        channels_first: bool = False,
         transform: Callable[[Item], Any] | None = None,
     ) -> None:
         self.dataset = TactileDataset(
@@ -194,8 +214,11 @@ class TactilePairs:
             merge=merge,
             split=split,
             fractions=fractions,
+            by_object=by_object,
             seed=seed,
             subtract_reference=subtract_reference,
+            float32=float32,
+            channels_first=channels_first,
             transform=transform,
         )
         scenes = self.dataset.scenes

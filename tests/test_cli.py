@@ -141,7 +141,7 @@ def test_a_dry_run_writes_nothing_and_says_what_it_would_cost(tmp_path: Path, ti
 
 
 def test_a_plan_s_cost(timed: None):
-    done = tacgen_("plan", "batch", "--estimate", "--workers", "1")
+    done = tacgen_("plan", "batch", "--estimate", "-j", "1")
     assert done.stdout.startswith("8 scenes of batch: about 32 s of one core (0 s to 88 s); 0.08 GB (0.08 to 0.08); ")
     plain = json.loads(tacgen_("plan", "batch", "--estimate", "--json", "--workers", "auto").stdout)
     assert plain["seconds"][0] == 32.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.needs import needs
-from helpers.synthetic import write
+from helpers.synthetic import attributes, write
 
 from tacgen import torch as reading
 from tacgen.base.errors import UserError
@@ -74,6 +74,47 @@ def test_splits_share_no_scene_and_do_not_depend_on_where_scenes_lie(folder: Pat
         tuple(s.attrs["input_key"] for s in TactileDataset(folder, split="train", seed=k).scenes) for k in range(9)
     }
     assert len(others) > 1
+
+
+def test_an_object_is_in_one_part_alone_whatever_the_folder(tmp_path: Path) -> None:
+    balls = [{"shape": "sphere", "radius_mm": r} for r in (3.0, 4.0)]
+    meshes = [{"shape": "mesh", "file": "same_name.stl", "sha256": c * 64} for c in "abc"]
+    for i, indenter in enumerate(3 * (balls + meshes)):
+        recipe = attributes()["recipe"] | {"indenter": indenter}
+        for folder in ("one", "two"):
+            key = f"{i if folder == 'one' else 99 - i:064d}"
+            write(tmp_path / folder / f"scene-{i:05d}.h5", scene_index=i, input_key=key, recipe=recipe)
+    how = {"fractions": (0.5, 0.25, 0.25), "by_object": True}
+    parts = []
+    for folder in ("one", "two"):
+        parts.append({})
+        for split in ("train", "val", "test"):
+            found = TactileDataset(tmp_path / folder, ("force",), split=split, **how)
+            objects = [scene.recipe["indenter"] for scene in found.scenes]
+            parts[-1][split] = {each.get("sha256", each["shape"]) for each in objects}
+            assert len(objects) == 3 * sum(1 + (name == "sphere") for name in parts[-1][split])
+    assert [len(part) for part in parts[0].values()] == [2, 1, 1]
+    assert parts[0] == parts[1]  # of the object, not of how it is pressed
+    with pytest.raises(UserError, match="split 'val': holds none of 15 scenes, which are of 4 objects"):
+        TactileDataset(tmp_path / "one", ("force",), split="val", by_object=True, fractions=(0.9, 0.0, 0.1))
+
+
+def test_values_are_float32_and_channels_first_where_asked(folder: Path) -> None:
+    fields = ("rgb", "height", "traction", "contact", "force", "pose", "stress")
+    stored = TactileDataset(folder, fields)[7]
+    item = TactileDataset(folder, fields, float32=True, channels_first=True)[7]
+    assert {item[name].dtype for name in fields} == {np.dtype(np.float32)}
+    assert np.array_equal(item["rgb"], stored["rgb"].transpose(2, 0, 1) / np.float32(255))
+    assert np.array_equal(item["traction"], stored["traction"].transpose(2, 0, 1))
+    assert item["rgb"].flags.c_contiguous
+    for name in ("height", "contact", "force", "pose", "stress"):
+        assert item[name].shape == stored[name].shape
+        assert np.array_equal(item[name], stored[name].astype(np.float32))
+    change = TactileDataset(folder, ("rgb",), subtract_reference=True, float32=True)[7]["rgb"]
+    assert change.min() < 0
+    assert np.array_equal(
+        TactileDataset(folder, ("rgb",), channels_first=True)[7]["rgb"], stored["rgb"].transpose(2, 0, 1)
+    )
 
 
 def test_it_pickles_without_its_open_files_and_forgets_those_of_a_parent(folder: Path) -> None:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
-SHORT_NAMES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force", "unique": "quality/unique"}
-SHORT_NAMES |= {name: f"/reference/{name}" for name in ("x_mm", "y_mm")}
 
 
 class Frames:
@@ -94,7 +92,7 @@ class Frames:
         """A dataset by its name below /frames or /fields, or by its path. Raises UserError: it is not there."""
         if not isinstance(name, str):
             raise TypeError(f"frames[{name!r}]: a name is needed; frames.force[{name!r}] is the force of one frame")
-        path = field_names.path_of(SHORT_NAMES.get(name, name), self.bundle.shapes)
+        path = field_names.path_of(name, self.bundle.shapes)
         if path not in self._read:
             self._read[path] = self.bundle[path]
             self._read[path].flags.writeable = False
@@ -116,7 +114,11 @@ class Frames:
             {
                 *super().__dir__(),
                 *plain,
-                *(each for each, name in SHORT_NAMES.items() if {name, f"/frames/{name}", f"/fields/{name}"} & known),
+                *(
+                    each
+                    for each, name in field_names.SHORT_NAMES.items()
+                    if {name, f"/frames/{name}", f"/fields/{name}"} & known
+                ),
             }
         )
 

@@ -6,6 +6,9 @@ from tacgen.base.errors import UserError
 from tacgen.outputs import LAYOUT
 
 PER_FRAME_GROUPS = ("/frames/", "/fields/")  # groups whose datasets have short names
+# other names by which Python takes a dataset: those of the outputs of a recipe, and shorter ones
+SHORT_NAMES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force", "unique": "quality/unique"}
+SHORT_NAMES |= {name: f"/reference/{name}" for name in ("x_mm", "y_mm")}
 FIRST_FIELDS = (
     "force",
     "torque",
@@ -27,12 +30,12 @@ def short(paths: Collection[str]) -> dict[str, str]:
 
 
 def path_of(name: str, paths: Collection[str]) -> str:
-    """The path of a dataset, given its short name or its path, among `paths`.
+    """The path of a dataset, given its short name, one of SHORT_NAMES or its path, among `paths`.
 
     Raises:
         UserError: it is none of them; the message names what was probably meant, and what there is.
     """
-    known = short(paths)
+    known, name = short(paths), SHORT_NAMES.get(name, name)
     if name in paths or name in known:
         return known.get(name, name)
     if name in (everywhere := short(LAYOUT)) or name in LAYOUT:

@@ -1,4 +1,5 @@
-"""Division of the scenes of a data set into train, val and test: by whole contacts, the same on every machine."""
+"""Division of the scenes of a data set into train, val and test: by whole contacts, or whole objects, the same on every
+machine."""
 
 import hashlib
 from collections.abc import Sequence
@@ -12,11 +13,17 @@ SPLIT_FRACTIONS = (0.8, 0.1, 0.1)  # shares of the contacts in each
 
 
 def divide(
-    scenes: Sequence[Bundle], split: str, fractions: tuple[float, float, float], seed: int
+    scenes: Sequence[Bundle],
+    split: str,
+    fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
+    seed: int = 0,
+    *,
+    by_object: bool = False,
 ) -> tuple[Bundle, ...]:
     """The scenes of one part, in their original order: all are sorted by a hash of inputs and seed, and divided.
 
-    Scenes of the same contact on several sensors, and the fingers of a grasp, stay together.
+    Scenes of the same contact on several sensors, and the fingers of a grasp, stay together; with `by_object` also
+    those of indenters that are the same mesh, or of the same shape, of whatever size.
 
     Raises:
         UserError: an unknown part, fractions that do not add up to 1, or no scene in the part.
@@ -25,9 +32,10 @@ def divide(
         return tuple(scenes)
     if split not in SPLITS:
         raise UserError(f"split {split!r}: must be all, {', '.join(SPLITS)}")
-    chosen = [i for i, part in enumerate(assigned(scenes, fractions, seed)) if part == split]
+    chosen = [i for i, part in enumerate(assigned(scenes, fractions, seed, by_object=by_object)) if part == split]
     if not chosen:
-        raise UserError(f"split {split!r}: holds none of {len(scenes)} scenes")
+        many = f", which are of {len(_together(scenes, by_object))} objects" if by_object else ""
+        raise UserError(f"split {split!r}: holds none of {len(scenes)} scenes{many}")
     return tuple(scenes[i] for i in chosen)
 
 
@@ -40,7 +48,11 @@ def empty_parts(scenes: Sequence[Bundle]) -> list[str]:
 
 
 def assigned(
-    scenes: Sequence[Bundle], fractions: tuple[float, float, float] = SPLIT_FRACTIONS, seed: int = 0
+    scenes: Sequence[Bundle],
+    fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
+    seed: int = 0,
+    *,
+    by_object: bool = False,
 ) -> list[str]:
     """The part of each scene, as `divide` chooses it: train, val or test. If there are few, a part may have none.
 
@@ -49,15 +61,22 @@ def assigned(
     """
     if min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
         raise UserError(f"fractions {fractions}: must be at least 0 and add up to 1")
-
-    def place(together: list[int]) -> str:
-        i = together[0]
-        return hashlib.sha256(f"{seed} {scenes[i].attrs['input_key']} {i}".encode()).hexdigest()
-
-    order = sorted(contacts(scenes), key=place)
+    groups = _together(scenes, by_object)
+    order = sorted(groups, key=lambda name: hashlib.sha256(f"{seed} {name}".encode()).hexdigest())
     ends = [round(len(order) * sum(fractions[: k + 1])) for k in range(3)]
     parts = [""] * len(scenes)
-    for k, together in enumerate(order):
-        for i in together:
+    for k, name in enumerate(order):
+        for i in groups[name]:
             parts[i] = SPLITS[sum(k >= end for end in ends[:2])]
     return parts
+
+
+def _together(scenes: Sequence[Bundle], by_object: bool) -> dict[str, list[int]]:
+    """Indices of the scenes that stay together, by the inputs of the first of them or the name of their object."""
+    if not by_object:
+        return {f"{scenes[i].attrs['input_key']} {i}": [i, *more] for i, *more in contacts(scenes)}
+    objects: dict[str, list[int]] = {}
+    for i, scene in enumerate(scenes):
+        indenter = scene.recipe["indenter"]
+        objects.setdefault(indenter.get("sha256", indenter["shape"]), []).append(i)
+    return objects

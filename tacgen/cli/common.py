@@ -19,6 +19,18 @@ from tacgen.base.terminal import dropping, open_standard_streams, say
 
 Bundles = Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
+]
+Workers = Annotated[
+    str,
+    typer.Option(
+        "--workers",
+        "-j",
+        metavar="N",
+        help="Number of worker processes, one core each; auto: as cores and memory allow.",
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
 DISK_ERROR_NUMBERS = tuple(
     getattr(errno, name)

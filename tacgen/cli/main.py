@@ -17,6 +17,8 @@ from tacgen.cli.common import (
     AsJson,
     Bundles,
     Overwrite,
+    Sets,
+    Workers,
     app,
     line,
     noted,
@@ -38,14 +40,8 @@ from tacgen.report.sheet import counted
 __all__ = ["app"]
 
 RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file, or the name of a shipped recipe.")]
-Sets = Annotated[
-    list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
-]
 EXPORT_FORMATS = "lerobot, webdataset, zarr, sparsh, feats, feelanyforce, univtac, rerun, vtkhdf or exr"
 Merge = Annotated[bool, typer.Option("--merge", help="Take several data sets below the folder as one.")]
-Workers = Annotated[
-    str, typer.Option(metavar="N", help="Number of worker processes, one core each; auto: as cores and memory allow.")
-]
 
 app.add_typer(calibrations, name="calibrate")
 app.add_typer(sensors, name="sensor")

@@ -6,7 +6,19 @@ from typing import Annotated, Any
 import typer
 
 from tacgen.base.errors import UserError
-from tacgen.cli.common import AsJson, Overwrite, noted, plan_of, probe, show_result, warn, workers_of, writing
+from tacgen.cli.common import (
+    AsJson,
+    Overwrite,
+    Sets,
+    Workers,
+    noted,
+    plan_of,
+    probe,
+    show_result,
+    warn,
+    workers_of,
+    writing,
+)
 
 
 def replay(
@@ -32,10 +44,8 @@ def replay(
         list[int] | None, typer.Option("--env", min=0, help="Number of an environment; can be given many times.")
     ] = None,
     group: Annotated[str, typer.Option(help="Group of an HDF5 file that holds the arrays.")] = "/",
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value of the recipe.")
-    ] = None,
-    workers: Annotated[str, typer.Option(metavar="N", help="Number of worker processes; auto: as can be.")] = "1",
+    sets: Sets = None,
+    workers: Workers = "1",
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:

@@ -25,7 +25,7 @@ NEEDED_VTK_DATASETS = ("/mesh/points", "/mesh/cells", "/mesh/layer", "/fields/di
 VTK_FIELDS = (  # dataset of the bundle, name and location in VTK
     ("/fields/displacement", "displacement", "PointData"),
     ("/fields/nodal_stress", "stress", "PointData"),
-    ("/fields/cauchy_stress", "element_stress", "CellData"),
+    ("/fields/cauchy_stress", "cauchy_stress", "CellData"),
 )
 
 

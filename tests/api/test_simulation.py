@@ -14,7 +14,7 @@ import tacgen
 from tacgen import api
 from tacgen.base.errors import LeftOut
 from tacgen.batch import pipeline
-from tacgen.bundle import bundle
+from tacgen.bundle import bundle, field_names
 from tacgen.outputs import LAYOUT
 from tacgen.recipe import plan
 
@@ -50,7 +50,7 @@ def test_arrays_have_the_shapes_and_units_that_the_docstring_says(frames: tacgen
     declared = {*tacgen.Frames.__annotations__} - {"rgb"}
     assert {name for name, *_ in said} == declared
     for name, _, shape, units in said:
-        known = api.frames.SHORT_NAMES.get(name, name)
+        known = field_names.SHORT_NAMES.get(name, name)
         path = next(path for path in (known, f"/frames/{known}", f"/fields/{known}") if path in LAYOUT)
         assert (shape.replace(",", ""), units) == (LAYOUT[path].shape, LAYOUT[path].units), name
     assert frames.force.shape == (len(frames), 3) == (3, 3)

@@ -114,7 +114,7 @@ def test_vtk_reads_every_step(vtkhdf: Path, source: Path) -> None:
         assert (found["displacement"] == bundle.frame("/fields/displacement", k)).all()
         xx, yy, zz, yz, xz, xy = bundle.frame("/fields/nodal_stress", k).T
         assert (found["stress"] == np.stack([xx, yy, zz, xy, yz, xz], 1)).all()
-        assert vtk_to_numpy(grid.GetCellData().GetArray("element_stress"))[0, 3] == 5 + 10 * k
+        assert vtk_to_numpy(grid.GetCellData().GetArray("cauchy_stress"))[0, 3] == 5 + 10 * k
         assert vtk_to_numpy(grid.GetCellData().GetArray("layer")).tolist() == [0]
 
 
