@@ -1,7 +1,8 @@
 """Signed distances of analytic indenters: each is a core set, offset outward by a rounding radius.
 
-In its own frame an indenter touches z = 0 from above at the origin; its body extends along +z (punch, cone, box and
-wedge to infinity). A core gives its closest point c(p) to a point p; distance, normal and curvature follow alike:
+In its own frame an indenter touches z = 0 from above at the origin; its body extends along +z (box, cone, wedge
+and a punch without length to infinity). A core gives its closest point c(p) to a point p; distance, normal and
+curvature follow alike:
 
     d = |p - c(p)| - r,    n = (p - c)/|p - c|,    H = (I - n n^T - dc/dp) / |p - c|
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from tacgen.geometry.convex_edges import Convex
 
 Array = np.ndarray
+MAX_ROUNDED_SLOPE = 1e-12  # component of a unit vector up to which it is a rounding error [-]
 MAX_SDF_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
 
 
@@ -185,11 +187,12 @@ class TorusSdf(Grown):
 
 @dataclass(frozen=True)
 class CylinderSdf(Grown):
-    """A flat cylindrical punch along z; its lower edge has the radius `fillet`."""
+    """A flat cylindrical punch along z, `length` high; its edges have the radius `fillet`."""
 
     core: ClassVar[str] = "cylinder"
     radius: float  # [mm]
     fillet: float  # [mm]
+    length: float = np.inf  # [mm]
 
     @property
     def smallest_radius(self) -> float:
@@ -197,12 +200,12 @@ class CylinderSdf(Grown):
 
     @property
     def reach(self) -> float:
-        return self.radius
+        return min(self.radius, self.length / 2)
 
     def support(self, direction: Array) -> float:
-        if direction[2] > 1e-12:
-            return np.inf
-        return self.fillet * (1 + float(direction[2])) + (self.radius - self.fillet) * float(np.hypot(*direction[:2]))
+        up = float(direction[2])
+        along = (self.length - self.fillet if up > MAX_ROUNDED_SLOPE else self.fillet) * up
+        return self.fillet + along + (self.radius - self.fillet) * float(np.hypot(*direction[:2]))
 
 
 @dataclass(frozen=True)
@@ -223,7 +226,7 @@ class BoxSdf(Grown):
         return min(self.size_x, self.size_y) / 2
 
     def support(self, direction: Array) -> float:
-        if direction[2] > 1e-12:
+        if direction[2] > MAX_ROUNDED_SLOPE:
             return np.inf
         half = np.array([self.size_x, self.size_y]) / 2 - self.fillet
         return self.fillet * (1 + float(direction[2])) + float(half @ np.abs(direction[:2]))
@@ -247,7 +250,7 @@ class ConeSdf(Grown):
 
     def support(self, direction: Array) -> float:
         flank = np.hypot(*direction[:2]) * np.sin(self.half_angle) + direction[2] * np.cos(self.half_angle)
-        return np.inf if flank > 1e-12 else self.tip_radius * (1 + float(direction[2]))
+        return np.inf if flank > MAX_ROUNDED_SLOPE else self.tip_radius * (1 + float(direction[2]))
 
 
 @dataclass(frozen=True)
@@ -270,4 +273,4 @@ class WedgeSdf(Grown):
     def support(self, direction: Array) -> float:
         flank = abs(direction[0]) * np.sin(self.half_angle) + direction[2] * np.cos(self.half_angle)
         along = (self.length / 2 - self.tip_radius) * abs(float(direction[1]))
-        return np.inf if flank > 1e-12 else self.tip_radius * (1 + float(direction[2])) + along
+        return np.inf if flank > MAX_ROUNDED_SLOPE else self.tip_radius * (1 + float(direction[2])) + along

@@ -101,15 +101,17 @@ def cylinder(shapes: Reals2, s: int, p: wp.vec3d) -> Core:
     core = Core()
     core.radius = shapes[s, B]
     rho, radial, azimuth = polar(p)
-    low, rim = core.radius, shapes[s, A] - core.radius
+    low, top, rim = core.radius, shapes[s, C] - core.radius, shapes[s, A] - core.radius
     core.closest = wp.min(rho, rim) * radial
-    core.closest[2] = wp.max(p[2], low)
+    core.closest[2] = wp.clamp(p[2], low, top)
     turning = wp.where(rho > rim, rim / wp.max(rho, TINY), real(1.0))
     core.J = turning * wp.outer(azimuth, azimuth) + one_if(rho < rim) * wp.outer(radial, radial)
-    core.J[2, 2] = one_if(p[2] > low)
-    below, beside = p[2] - low, rim - rho
-    core.depth = wp.max(wp.min(below, beside), real(0.0))
+    core.J[2, 2] = one_if(core.closest[2] == p[2])
+    below, above, beside = p[2] - low, top - p[2], rim - rho
+    core.depth = wp.max(wp.min(wp.min(below, above), beside), real(0.0))
     core.out = wp.where(below <= beside, DOWNWARD, radial)
+    if above < below and above < beside:
+        core.out = -DOWNWARD
     return core
 
 

@@ -164,13 +164,14 @@ def _too_large(indenter: Indenter, gel: Gel) -> list[Issue]:
 
 def _too_thin(indenter: Indenter, edge: float) -> list[Issue]:
     """A thin body must be thicker than the distance between contact points, or it passes between them."""
-    half = {key: factor * getattr(indenter, key) for key, factor in indenter.thin.items()}
+    sizes = {key: getattr(indenter, key) for key in indenter.thin}
+    half = {key: indenter.thin[key] * size for key, size in sizes.items() if size is not None}
     return [
         Issue(
             ("indenter", key),
             f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts; "
             + (
-                usual_sizes.in_metres(key, getattr(indenter, key))
+                usual_sizes.in_metres(key, sizes[key])
                 or f"ask for quality: {{edge_mm: {value / MIN_HALF_THICKNESS_EDGES:.2g}}} or finer"
             ),
         )

@@ -1,7 +1,7 @@
 """The models of indenters by shape; the origin is the lowest point. Lengths in mm, angles in degrees."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -20,6 +20,18 @@ def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True
     return value
 
 
+def _twice(name: str) -> Any:
+    """A validator of length_mm, which must hold the roundings of both ends, of the radius `name`."""
+
+    def check(value: float | None, info: ValidationInfo) -> float | None:
+        radius = info.data.get(name)
+        if radius is not None and value is not None and value < 2 * radius:
+            raise ValueError(f"must be at least twice {name}, {2 * radius:g} (got {value:g})")
+        return value
+
+    return field_validator("length_mm")(check)
+
+
 class AnyIndenter(Part):
     """An indenter of any shape."""
 
@@ -36,17 +48,20 @@ class Sphere(AnyIndenter):
 
 
 class Cylinder(AnyIndenter):
-    """A flat punch: a round rod whose axis is z, its lower edge rounded."""
+    """A flat punch: a round rod whose axis is z, its edges rounded; without a length it has no upper end."""
 
-    thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
+    thin: ClassVar[dict[str, float]] = {"radius_mm": 1, "length_mm": 0.5}
     shape: Literal["cylinder"] = "cylinder"
     radius_mm: Positive
     fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
+    length_mm: Positive | None = None
 
     @field_validator("fillet_mm")
     @classmethod
     def _fits(cls, value: float, info: ValidationInfo) -> float:
         return _smaller(value, info.data.get("radius_mm"), "radius_mm")
+
+    _holds = _twice("fillet_mm")
 
 
 class Cone(AnyIndenter):
@@ -81,13 +96,7 @@ class Wedge(AnyIndenter):
     tip_radius_mm: Positive
     length_mm: Positive
 
-    @field_validator("length_mm")
-    @classmethod
-    def _holds(cls, value: float, info: ValidationInfo) -> float:
-        tip = info.data.get("tip_radius_mm")
-        if tip is not None and value < 2 * tip:
-            raise ValueError(f"must be at least twice tip_radius_mm, {2 * tip:g} (got {value:g})")
-        return value
+    _holds = _twice("tip_radius_mm")
 
 
 class Capsule(AnyIndenter):
@@ -144,7 +153,7 @@ def analytic(i: Indenter) -> "Shape | None":
         return None
     from tacgen.geometry import analytic_sdf
 
-    fields = {name.removesuffix("_mm"): value for name, value in i if name != "shape"}
+    fields = {name.removesuffix("_mm"): value for name, value in i if name != "shape" and value is not None}
     if "half_angle_deg" in fields:
         fields["half_angle"] = math.radians(fields.pop("half_angle_deg"))
     shape: Shape = getattr(analytic_sdf, f"{type(i).__name__}Sdf")(**fields)

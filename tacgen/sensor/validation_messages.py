@@ -58,7 +58,6 @@ OTHER_WORDS = {
     "traction": "pressure shear_traction contact_map slip",
     "force": "wrench torque ft net_force",
     "stress": "nodal_stress cauchy_stress von_mises",
-    "nodal_stress": "stress cauchy_stress",
     "displacement": "u displacements",
     "flow": "optical_flow",
     "markers": "dots marker_flow marker_motion",

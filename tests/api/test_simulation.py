@@ -11,7 +11,6 @@ from helpers import synthetic
 from helpers.small_recipe import HEAD
 
 import tacgen
-from tacgen import api
 from tacgen.base.errors import LeftOut
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle, field_names

@@ -20,6 +20,10 @@ KINDS: dict[str, st.SearchStrategy[Shape]] = {
     "capsule": st.builds(CapsuleSdf, between(0.2, 4), between(0.1, 8)),
     "torus": st.builds(lambda tube, hole: TorusSdf(tube + hole, tube), between(0.2, 2), between(0.1, 4)),
     "cylinder": st.builds(lambda fillet, flat: CylinderSdf(fillet + flat, fillet), between(0.05, 1), between(0.1, 4)),
+    "cylinder with two ends": st.builds(
+        lambda fillet, flat, long: CylinderSdf(fillet + flat, fillet, 2 * fillet + long),
+        between(0.05, 1), between(0.1, 4), between(0.1, 6),
+    ),
     "box": st.builds(
         lambda fillet, x, y: BoxSdf(2 * fillet + x, 2 * fillet + y, fillet),
         between(0.05, 1), between(0.1, 6), between(0.1, 6),
@@ -31,6 +35,7 @@ SHAPES = st.one_of(*KINDS.values())
 SPHERE = SphereSdf(4.0)
 EACH: dict[Shape, float] = {  # and its smallest radius
     SPHERE: 4.0, CapsuleSdf(1.5, 4.0): 1.5, TorusSdf(3.0, 0.8): 0.8, CylinderSdf(2.0, 0.2): 0.2,
+    CylinderSdf(2.0, 0.2, 3.0): 0.2,
     BoxSdf(3.0, 5.0, 0.3): 0.3,
     ConeSdf(np.radians(40), 0.3): 0.3, WedgeSdf(np.radians(30), 0.2, 4.0): 0.2,
 }  # fmt: skip

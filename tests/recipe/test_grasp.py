@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tacgen.base.errors import UserError
-from tacgen.recipe import plan
+from tacgen.recipe import grasp_of_row, plan
 
 RECIPE = """
 tacgen: 1
@@ -37,6 +37,14 @@ def test_each_finger_has_a_row_of_its_own(tmp_path: Path) -> None:
     assert plain.bundles[1].sensor == plain.sensor
 
 
+def test_a_cylinder_with_a_length_is_held_at_half_of_it(tmp_path: Path) -> None:
+    can = "indenter={shape: cylinder, radius_mm: 4, length_mm: 12}"
+    held = [grasp_of_row.build(load(tmp_path, can, *more).rows[0]) for more in ([], ["grasp.height_mm=6"])]
+    assert held[0].opening == pytest.approx(8)
+    assert (held[0].start == held[1].start).all()
+    assert held[0].centre.tolist() == [0, 0, 6]
+
+
 @pytest.mark.parametrize(
     ("sets", "said"),
     [
@@ -48,6 +56,8 @@ def test_each_finger_has_a_row_of_its_own(tmp_path: Path) -> None:
         (["trajectory=[close: {force_n: 1, frames: 1, duration_s: 1}]"], "duration_s: has no effect in a grasp"),
         (["start.x_mm=1"], "start: has no effect in a grasp"),
         (["indenter={shape: box, size_x_mm: 8, size_y_mm: 8}"], "grasp: must say at which height"),
+        (["indenter={shape: cylinder, radius_mm: 8}"], "grasp: must say at which height"),
+        (["indenter={shape: cylinder, radius_mm: 8, length_mm: 9}", "grasp.height_mm=11"], "object's height, 9"),
         (["indenter={shape: cone, half_angle_deg: 30, tip_radius_mm: 1}"], "indenter: has no upright sides"),
         (["trajectory=[close: {width_mm: 2, frames: 1}]"], "width_mm: must be above 2: first touch is at 10 mm"),
         (["trajectory=[close: {width_mm: 9, frames: 1}, replay: {file: no.csv}]"], "no.csv"),

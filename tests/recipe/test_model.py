@@ -95,6 +95,16 @@ def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: st
     [
         ("{shape: cylinder, radius_mm: 3, fillet_mm: 4}", "4}", "fillet_mm: must be at most radius_mm, 3 (got 4)"),
         ("{shape: cylinder, radius_mm: 0.1}", "indenter", "fillet_mm: must be at most radius_mm, 0.1 (got 0.2)"),
+        (
+            "{shape: cylinder, radius_mm: 3, length_mm: 0.3}",
+            "0.3",
+            "length_mm: must be at least twice fillet_mm, 0.4 (got 0.3)",
+        ),
+        (
+            "{shape: cylinder, radius_mm: 3, fillet_mm: 0.1, length_mm: 0.3}",
+            "0.3",
+            "length_mm: is too thin for a mesh of edge 0.36 mm",
+        ),
         ("{shape: box, size_x_mm: 1, size_y_mm: 3, fillet_mm: 0.6}", "0.6", "fillet_mm: must be at most half the"),
         ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
         ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
