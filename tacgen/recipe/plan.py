@@ -19,7 +19,7 @@ from tacgen.recipe import checks, loading, sensor_base, sensor_checks, usual_siz
 from tacgen.recipe.loading import SOLID_FILE_KEY, Loaded, folders
 from tacgen.recipe.model import Distribution, Recipe, Vary
 from tacgen.recipe.row import Row, resolved, scene_seed
-from tacgen.recipe.sampling import correlated, draw, scene_count
+from tacgen.recipe.sampling import correlated, draw, inner_spreads, scene_count
 from tacgen.sensor import usual_values
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.usual_values import unusual
@@ -145,7 +145,7 @@ def _check(vary: Vary, tree: Tree) -> None:
     problems: list[Issue] = []
     known: dict[KeyPath, str] = {}
     for name, here in vary.paths.items():
-        spread = getattr(vary, str(here[1]))[name]
+        spread, gridded = getattr(vary, str(here[1]))[name], "grid" in (vary.method, here[1])
         try:
             path = parse_path(name)
         except ValueError as error:
@@ -157,27 +157,23 @@ def _check(vary: Vary, tree: Tree) -> None:
             problems.append(Issue(here, f"{path[0]} cannot be varied: write a recipe for each value", at_key=True))
         if path == ("sensor",) and not all(isinstance(value, str) for value in spread.choice or (None,)):
             problems.append(Issue(here, "must be a choice of sensors' names or files"))
-        if inner := next((inner for each in enumerate(spread.choice or ()) if (inner := _spread_in(*each))), None):
-            child = format_path((*path, *inner[1:]))
-            text = f"has a distribution inside a choice, at {format_path(inner)}: list {child} beside it instead"
-            problems.append(Issue(here, text))
+        for inner, found in inner_spreads(spread.choice):
+            where = (*here, "choice", *inner)
+            if gridded:
+                text = "a grid takes no distribution inside a choice: draw over samples, or write out the choices"
+                problems.append(Issue(where, text))
+            elif "choice" in found and next(inner_spreads(found["choice"]), None):
+                problems.append(Issue(where, "holds a distribution inside a choice inside a choice: one is enough"))
+            problems += [replace(odd, path=(*where, *odd.path)) for odd in validate(Distribution, found)[1]]
         if here[1] == "grid" and name in vary.over:
             problems.append(Issue(here, "is in over already: leave one of them out", at_key=True))
-        if "grid" in (vary.method, here[1]) and spread.choice is None and spread.linspace is None:
+        if gridded and spread.choice is None and spread.linspace is None:
             problems.append(Issue(here, "a grid takes choice or linspace only"))
     if not problems and scene_count(vary) > MAX_SCENES:
         text = f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be: fewer samples or choices"
         problems.append(Issue(("vary", "over"), text))
     if problems:
         raise UserError(problem.point(tree) for problem in problems)
-
-
-def _spread_in(key: str | int, value: Any) -> KeyPath | None:
-    """Where in a value, that has this key, somebody has written a distribution."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
-    if isinstance(value, dict) and len(value) == 1 and value.keys() <= Distribution.model_fields.keys():
-        return (key,)
-    return next(((key, *inner) for each in items if (inner := _spread_in(*each))), None)
 
 
 def _named(

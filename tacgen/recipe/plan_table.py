@@ -83,5 +83,6 @@ def _cell(value: Any, short: bool) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if short else repr(value)
     if short and isinstance(value, dict):
-        return " ".join(f"{key}={_cell(part, short)}" for key, part in value.items())
+        parts = ((key, _cell(part, short), isinstance(part, dict)) for key, part in value.items())
+        return " ".join(f"{key} ({cell})" if inner else f"{key}={cell}" for key, cell, inner in parts)
     return value if isinstance(value, str) else json.dumps(value)

@@ -1,12 +1,14 @@
 """The samples of `vary`: points of the unit cube by method and seed, their values, and the grid crossed with them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
 from tacgen.recipe.model import MAX_LHS_SAMPLES, Distribution, Vary
 from tacgen.sensor.validation_messages import Issue
+from tacgen.sensor.yaml_source import KeyPath, put
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,11 +30,18 @@ def draw(vary: Vary, indices: Sequence[int]) -> Callable[[int], dict[str, Any]]:
     on_grid = {**vary.over, **vary.grid} if vary.method == "grid" else vary.grid
     over = {} if vary.method == "grid" else vary.over
     points = math.prod(map(_count, on_grid.values()))
-    unit = _unit_points(vary, len(over), [index // points for index in indices]) if over else None
+    sizes = {path: _inner_count(spread) for path, spread in over.items()}
+    dimensions = len(over) + sum(sizes.values())
+    unit = _unit_points(vary, dimensions, [index // points for index in indices]) if over else None
 
     def values(k: int) -> dict[str, Any]:
-        drawn = zip(over.items(), [] if unit is None else unit[k].tolist(), strict=True)
-        drawn_values, rest = {path: _value(spread, u) for (path, spread), u in drawn}, indices[k] % points
+        drawn: list[float] = [] if unit is None else unit[k].tolist()
+        within = iter(drawn[len(over) :])  # for the distributions inside choices
+        drawn_values = {
+            path: _filled(_value(spread, u), islice(within, sizes[path]))
+            for (path, spread), u in zip(over.items(), drawn, strict=False)
+        }
+        rest = indices[k] % points
         place: dict[str, Any] = {}
         for path, spread in reversed(on_grid.items()):
             rest, i = divmod(rest, _count(spread))
@@ -40,6 +49,28 @@ def draw(vary: Vary, indices: Sequence[int]) -> Callable[[int], dict[str, Any]]:
         return drawn_values | {path: place[path] for path in on_grid}
 
     return values
+
+
+def inner_spreads(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+    """The distributions inside a value of a choice, and where: mappings with one key, that of a distribution."""
+    if isinstance(value, dict) and len(value) == 1 and value.keys() <= Distribution.model_fields.keys():
+        yield path, value
+        return
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
+    for step, item in items:
+        yield from inner_spreads(item, (*path, step))
+
+
+def _inner_count(spread: Distribution) -> int:
+    """The most distributions inside one value of a choice."""
+    return max((sum(1 for _ in inner_spreads(value)) for value in spread.choice or ()), default=0)
+
+
+def _filled(value: Any, unit: Iterable[float]) -> Any:
+    """A value of a choice, with each distribution inside it drawn at a number in [0, 1)."""
+    for (path, spread), u in zip(inner_spreads(value), unit, strict=False):
+        value = put(value, path, _value(Distribution.model_validate(spread), u))
+    return value
 
 
 def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
@@ -79,7 +110,8 @@ def correlated(vary: Vary) -> list[Issue]:
     n, paths = vary.samples or 0, list(vary.over)
     if vary.design not in ("sobol", "halton") or not 3 <= n <= MAX_LHS_SAMPLES or len(paths) < 2:
         return []
-    r = np.triu(np.corrcoef(_unit_points(vary, len(paths), range(n)).T), 1)
+    dimensions = len(paths) + sum(map(_inner_count, vary.over.values()))
+    r = np.triu(np.corrcoef(_unit_points(vary, dimensions, range(n))[:, : len(paths)].T), 1)
     i, j = np.unravel_index(np.abs(r).argmax(), r.shape)
     if abs(r[i, j]) < MAX_UNWARNED_CORRELATION:
         return []

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tacgen.base.errors import UserError
@@ -85,6 +86,41 @@ def test_values_of_the_sensor_reach_both_fingers(tmp_path: Path):
             assert modulus == row.values["sensor.gel.layers[0].youngs_modulus_mpa"], finger.name
 
 
+INNER = (
+    "trajectory[1]: {choice: [{slide: {x_mm: {uniform: [0.2, 1]}, y_mm: {uniform: [3, 4]}, frames: 3}},"
+    " {twist: {angle_deg: {integers: [5, 6]}, frames: 2}}, {hold: {frames: 1}}]}"
+)
+
+SIXTY_FOUR = ("vary.samples=64", "outputs=[force]")
+
+
+def test_a_choice_holds_distributions_of_its_own(tmp_path: Path):
+    """Some slides, some twists: each is drawn within its own ranges, and the other paths as without them."""
+    rows = varied(tmp_path, DEPTHS, INNER, sets=SIXTY_FOUR).rows
+    slides = [row.recipe.trajectory[1].slide for row in rows if row.recipe.trajectory[1].slide]
+    twists = [row.recipe.trajectory[1].twist for row in rows if row.recipe.trajectory[1].twist]
+    assert min(len(slides), len(twists)) >= 20
+    x, y = [move.x_mm for move in slides], [move.y_mm for move in slides]
+    assert (0.2 < min(x) < 0.3, 0.9 < max(x) < 1, 3 < min(y) < 3.1, 3.9 < max(y) < 4) == (True,) * 4
+    assert abs(np.corrcoef(x, y)[0, 1]) < 0.4
+    assert {move.angle_deg for move in twists} == {5, 6}
+    for row in (rows[3], rows[40]):
+        (again,) = plan.load(tmp_path / "batch.yaml", SIXTY_FOUR, (row.index, 64)).rows
+        assert (again.values, again.key) == (row.values, row.key)
+
+
+def test_distributions_inside_choices_are_the_same_on_all_sensors(tmp_path: Path):
+    rows = varied(tmp_path, DEPTHS, INNER, sets=("sensors=[gelsight_mini, digit]", "outputs=[force]")).rows
+    for one, other in zip(rows[::2], rows[1::2], strict=True):
+        assert one.sensor.name != other.sensor.name
+        assert one.recipe.trajectory == other.recipe.trajectory
+
+
+def test_a_grid_takes_no_distribution_inside_a_choice(tmp_path: Path):
+    with pytest.raises(UserError, match=r"choice\[0\].slide.x_mm: a grid takes no distribution inside a choice"):
+        varied(tmp_path, INNER, sets=("vary.method=grid", "vary.samples=null"))
+
+
 @pytest.mark.parametrize(
     ("over", "line"),
     [
@@ -94,9 +130,12 @@ def test_values_of_the_sensor_reach_both_fingers(tmp_path: Path):
          "batch.yaml:9:5: scene-00000: dynamics.density_kg_m3: has no place in the dynamics that is drawn"),
         (("indenter.radius_mm: {uniform: [1, 2]}", "indenter: {choice: [{shape: box, size_x_mm: 3, size_y_mm: 2}]}"),
          "batch.yaml:8:5: scene-00000: indenter.radius_mm: is a key of shape: sphere"),
-        (("trajectory: {choice: [[{press: {depth_mm: {uniform: [0.3, 1.2]}}}]]}",),
-         "batch.yaml:8:17: vary.over.trajectory: has a distribution inside a choice, at [0][0].press.depth_mm: list"
-         " trajectory[0].press.depth_mm beside it"),
+        (("trajectory: {choice: [[{press: {depth_mm: {uniform: [1.2, 0.3]}}}]]}",),
+         "batch.yaml:8:57: vary.over.trajectory.choice[0][0].press.depth_mm.uniform: must be [low, high]"),
+        (("trajectory: {choice: [[{press: {depth_mm: {choice: [{uniform: [0.3, 1.2]}, 1]}}}]]}",),
+         "batch.yaml:8:47: vary.over.trajectory.choice[0][0].press.depth_mm: holds a distribution inside a choice"),
+        (("trajectory[0].press: {choice: [{depth_mm: {uniform: [4, 5]}, frames: 2}]}",),
+         "batch.yaml:8:5: scene-00000: trajectory[0].press.depth_mm: must be less than the gel is thick"),
         (("trajectory[0].press.depth_mm: {uniform: [0.3, 1]}", "trajectory[00].press.depth_mm: {choice: [0.4]}"),
          "batch.yaml:9:5: vary.over[trajectory[00].press.depth_mm]: is trajectory[0].press.depth_mm, which is varied"),
     ],
