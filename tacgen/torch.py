@@ -117,6 +117,11 @@ class TactileDataset:
             item[name] = self._formed(self._values(number, name, path, frame), path)
         return self.transform(item) if self.transform else item
 
+    def places(self, scene: int) -> dict[int, int]:
+        """The indices of the frames of a scene, by their numbers in it."""
+        first, end = self._starts[scene : scene + 2].tolist()
+        return dict(zip(self._frame[first:end].tolist(), range(first, end), strict=True))
+
     def __getstate__(self) -> dict[str, Any]:
         """State for spawned workers: without open files."""
         hidden = ("_files", "_kept", "_process")
@@ -182,11 +187,11 @@ class TactilePairs:
 
     `pairs[i]` is a dictionary from the sensors' names, or `left` and `right`, to one frame of each.
 
-    The frames are those of TactileDataset, which has the same arguments. Contacts that do not exist on all of `sensors`
-    are left out.
+    Contacts that do not exist on all of `sensors` are left out; with `unique` also frames that are not so on all.
 
     Args:
         sensors: names of at least two; None: those of the first contact that exists on several sensors.
+        options: as of TactileDataset.
 
     Raises:
         UserError: no contact exists on all of them.
@@ -198,29 +203,9 @@ class TactilePairs:
         fields: Sequence[str] = ("rgb", "force"),
         *,
         sensors: Sequence[str] | None = None,
-        merge: bool = False,
-        split: Literal["all", "train", "val", "test"] = "all",
-        fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
-        by_object: bool = False,
-        seed: int = 0,
-        subtract_reference: bool = False,
-        float32: bool = False,
-        channels_first: bool = False,
-        transform: Callable[[Item], Any] | None = None,
+        **options: Any,
     ) -> None:
-        self.dataset = TactileDataset(
-            path,
-            fields,
-            merge=merge,
-            split=split,
-            fractions=fractions,
-            by_object=by_object,
-            seed=seed,
-            subtract_reference=subtract_reference,
-            float32=float32,
-            channels_first=channels_first,
-            transform=transform,
-        )
+        self.dataset = TactileDataset(path, fields, **options)
         scenes = self.dataset.scenes
         contacts = [{dataset.role(scenes[i]): i for i in places} for places in dataset.contacts(scenes)]
         several = sensors or next((tuple(contact) for contact in contacts if len(contact) > 1), ())
@@ -228,11 +213,12 @@ class TactilePairs:
         whole = [contact for contact in contacts if several and contact.keys() >= set(several)]
         if not whole:
             raise UserError(f"{path}: holds no contact on {' and '.join(several) or 'several sensors'}")
-        starts = self.dataset._starts
+        held = [[self.dataset.places(contact[name]) for name in several] for contact in whole]
         self._places = [
-            [int(starts[contact[name]]) + k for name in several]
-            for contact in whole
-            for k in range(min(scenes[contact[name]].frames for name in several))  # one may end before a fold
+            [place[frame] for place in places]
+            for places in held
+            for frame in places[0]
+            if all(frame in place for place in places)  # one may end before a fold
         ]
 
     def __len__(self) -> int:

@@ -262,6 +262,15 @@ def test_frames_after_a_fold_are_counted_where_they_are_left_out(tmp_path: Path)
     assert f"{FRAMES - 1} frames of 1 scenes: force; 1 after a fold left out" in repr(kept)
 
 
+def test_pairs_are_of_frames_that_are_unique_on_both_sides(tmp_path: Path) -> None:
+    for side, folded in (("left", 3), ("right", 5)):
+        edit = lambda i, arrays, k=folded: arrays.update({"/frames/quality/unique": i != k})  # noqa: E731
+        write(tmp_path / f"scene-00000-{side}.h5", edit=edit, input_key=side * 12, scene_index=0, finger=side)
+    pairs = TactilePairs(tmp_path, ("force",), unique=True)
+    frames = [(pair["left"]["frame"], pair["right"]["frame"]) for pair in (pairs[i] for i in range(len(pairs)))]
+    assert frames == [(i, i) for i in range(FRAMES) if i not in (3, 5)]
+
+
 def test_a_split_without_unique_frames_is_told(tmp_path: Path) -> None:
     """A mean over it would be nan."""
     write(tmp_path / "scene.h5", edit=lambda _, arrays: arrays.update({"/frames/quality/unique": False}))

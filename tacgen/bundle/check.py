@@ -306,16 +306,7 @@ def _folds(bundle: Bundle) -> Iterator[str]:
 
 Rule = Callable[[Bundle], Iterator[str]]
 CHECK_RULES: tuple[Rule, ...] = (
-    _finite,
-    _pose,
-    _images,
-    _pressure,
-    _friction,
-    _quality,
-    _repeats,
-    _markers,
-    _values,
-    _files,
+    *(_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers, _values, _files),
 )
 NOTE_RULES: tuple[Rule, ...] = (_maps, _contact, _folds)
 

@@ -110,10 +110,15 @@ class Grown(Recorded):
 
     convex: ClassVar[None] = None
     core: ClassVar[str]
+    rounding: ClassVar[str] = "radius"  # the field that is the smallest radius
 
     @property
-    @abstractmethod
-    def smallest_radius(self) -> float: ...
+    def smallest_radius(self) -> float:
+        return float(getattr(self, self.rounding))
+
+    @property
+    def reach(self) -> float:
+        return self.smallest_radius
 
     @cached_property
     def record(self) -> Record:
@@ -133,14 +138,6 @@ class SphereSdf(Grown):
     core: ClassVar[str] = "sphere"
     radius: float  # [mm]
 
-    @property
-    def smallest_radius(self) -> float:
-        return self.radius
-
-    @property
-    def reach(self) -> float:
-        return self.radius
-
     def support(self, direction: Array) -> float:
         return self.radius * (1 + float(direction[2]))
 
@@ -153,14 +150,6 @@ class CapsuleSdf(Grown):
     radius: float  # [mm]
     length: float  # [mm]
 
-    @property
-    def smallest_radius(self) -> float:
-        return self.radius
-
-    @property
-    def reach(self) -> float:
-        return self.radius
-
     def support(self, direction: Array) -> float:
         return self.radius * (1 + float(direction[2])) + self.length / 2 * abs(float(direction[0]))
 
@@ -170,16 +159,9 @@ class TorusSdf(Grown):
     """A flat ring; `radius` is that of its centre line."""
 
     core: ClassVar[str] = "torus"
+    rounding: ClassVar[str] = "tube_radius"
     radius: float  # [mm]
     tube_radius: float  # [mm]
-
-    @property
-    def smallest_radius(self) -> float:
-        return self.tube_radius
-
-    @property
-    def reach(self) -> float:
-        return self.tube_radius
 
     def support(self, direction: Array) -> float:
         return self.tube_radius * (1 + float(direction[2])) + self.radius * float(np.hypot(*direction[:2]))
@@ -190,13 +172,10 @@ class CylinderSdf(Grown):
     """A flat cylindrical punch along z, `length` high; its edges have the radius `fillet`."""
 
     core: ClassVar[str] = "cylinder"
+    rounding: ClassVar[str] = "fillet"
     radius: float  # [mm]
     fillet: float  # [mm]
     length: float = np.inf  # [mm]
-
-    @property
-    def smallest_radius(self) -> float:
-        return self.fillet
 
     @property
     def reach(self) -> float:
@@ -213,13 +192,10 @@ class BoxSdf(Grown):
     """A rectangular punch with sides along x and y; all edges have the radius `fillet`."""
 
     core: ClassVar[str] = "box"
+    rounding: ClassVar[str] = "fillet"
     size_x: float  # [mm]
     size_y: float  # [mm]
     fillet: float  # [mm]
-
-    @property
-    def smallest_radius(self) -> float:
-        return self.fillet
 
     @property
     def reach(self) -> float:
@@ -237,12 +213,9 @@ class ConeSdf(Grown):
     """Tip down, rounded by `tip_radius`; `half_angle` [rad] is from the axis."""
 
     core: ClassVar[str] = "cone"
+    rounding: ClassVar[str] = "tip_radius"
     half_angle: float
     tip_radius: float  # [mm]
-
-    @property
-    def smallest_radius(self) -> float:
-        return self.tip_radius
 
     @property
     def reach(self) -> float:
@@ -258,13 +231,10 @@ class WedgeSdf(Grown):
     """An edge along y, rounded by `tip_radius`; `half_angle` [rad] is from the z axis; `length` includes the ends."""
 
     core: ClassVar[str] = "wedge"
+    rounding: ClassVar[str] = "tip_radius"
     half_angle: float
     tip_radius: float  # [mm]
     length: float  # [mm]
-
-    @property
-    def smallest_radius(self) -> float:
-        return self.tip_radius
 
     @property
     def reach(self) -> float:

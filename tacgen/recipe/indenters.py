@@ -1,6 +1,8 @@
 """The models of indenters by shape; the origin is the lowest point. Lengths in mm, angles in degrees."""
 
 import math
+import operator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
@@ -13,23 +15,24 @@ if TYPE_CHECKING:
 Acute = Annotated[float, Field(gt=0, lt=90)]
 
 
-def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True) -> float:
-    """Raise ValueError unless value <= limit (or < limit); `limit` is None when it is itself wrong."""
-    if limit is not None and (value > limit or (value == limit and not equal)):
-        raise ValueError(f"must be {'at most' if equal else 'less than'} {what}, {limit:g} (got {value:g})")
-    return value
-
-
-def _twice(name: str) -> Any:
-    """A validator of length_mm, which must hold the roundings of both ends, of the radius `name`."""
+def _bounded(
+    name: str, holds: Callable[[float, float], bool], text: str, *keys: str, limit: Callable[..., float] = float
+) -> Any:
+    """A validator: the field `name` must be `text`, as `holds` compares it with the `limit` of the fields `keys`."""
 
     def check(value: float | None, info: ValidationInfo) -> float | None:
-        radius = info.data.get(name)
-        if radius is not None and value is not None and value < 2 * radius:
-            raise ValueError(f"must be at least twice {name}, {2 * radius:g} (got {value:g})")
+        if value is not None and info.data.keys() >= set(keys):  # else one of them is itself wrong
+            bound = limit(*(info.data[key] for key in keys))
+            if not holds(value, bound):
+                raise ValueError(f"must be {text}, {bound:g} (got {value:g})")
         return value
 
-    return field_validator("length_mm")(check)
+    return field_validator(name)(check)
+
+
+def _twice(radius: str) -> Any:
+    """A validator: length_mm holds the roundings of both ends."""
+    return _bounded("length_mm", operator.ge, f"at least twice {radius}", radius, limit=lambda value: 2 * value)
 
 
 class AnyIndenter(Part):
@@ -56,11 +59,7 @@ class Cylinder(AnyIndenter):
     fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
     length_mm: Positive | None = None
 
-    @field_validator("fillet_mm")
-    @classmethod
-    def _fits(cls, value: float, info: ValidationInfo) -> float:
-        return _smaller(value, info.data.get("radius_mm"), "radius_mm")
-
+    _fits = _bounded("fillet_mm", operator.le, "at most radius_mm", "radius_mm")
     _holds = _twice("fillet_mm")
 
 
@@ -81,11 +80,10 @@ class Box(AnyIndenter):
     size_y_mm: Positive
     fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
 
-    @field_validator("fillet_mm")
-    @classmethod
-    def _fits(cls, value: float, info: ValidationInfo) -> float:
-        sides = [info.data[side] for side in ("size_x_mm", "size_y_mm") if side in info.data]
-        return _smaller(value, min(sides) / 2 if sides else None, "half the shorter side")
+    _fits = _bounded(
+        *("fillet_mm", operator.le, "at most half the shorter side", "size_x_mm", "size_y_mm"),
+        limit=lambda x, y: min(x, y) / 2,
+    )
 
 
 class Wedge(AnyIndenter):
@@ -116,10 +114,7 @@ class Torus(AnyIndenter):
     radius_mm: Positive
     tube_radius_mm: Positive
 
-    @field_validator("tube_radius_mm")
-    @classmethod
-    def _fits(cls, value: float, info: ValidationInfo) -> float:
-        return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
+    _fits = _bounded("tube_radius_mm", operator.lt, "less than radius_mm", "radius_mm")
 
 
 class Mesh(AnyIndenter):
