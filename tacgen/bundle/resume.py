@@ -1,7 +1,7 @@
 """Resuming a run: a bundle is kept only if it is complete and has the same inputs."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,7 @@ from tacgen.base.version import __version__
 from tacgen.bundle import bundle, dataset
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.recipe.row import Row
+from tacgen.sensor.yaml_source import format_path, leaves
 
 MAX_SHOWN_INPUTS = 3  # differing inputs that a message names
 
@@ -102,23 +103,11 @@ def differences(made: bundle.Bundle, row: Row) -> str:
     sensor = json.loads(made.attrs.get("sensor_document", "{}"))
     before = {**made.recipe, "sensor file": sensor, "seed": made.attrs["seed"], "scene": made.attrs["scene_index"]}
     now = {**row.document(), "sensor file": row.sensor_document(), "seed": row.seed, "scene": row.index}
-    old, new = dict(_values(before)), dict(_values(now))
+    old, new = ({format_path(path): value for path, value in leaves(inputs)} for inputs in (before, now))
     changed = [path for path in dict.fromkeys([*new, *old]) if old.get(path) != new.get(path)]
     said = [f"{path}: {_short(old.get(path))} -> {_short(new.get(path))}" for path in changed[:MAX_SHOWN_INPUTS]]
     more = f" and {len(changed) - MAX_SHOWN_INPUTS} more" if len(changed) > MAX_SHOWN_INPUTS else ""
     return (", ".join(said) or "another version of their keys") + more
-
-
-def _values(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Path and value of every number and text in a document."""
-    if isinstance(value, dict) and value:
-        for name, part in value.items():
-            yield from _values(part, f"{path}.{name}" if path else name)
-    elif isinstance(value, list) and value:
-        for place, part in enumerate(value):
-            yield from _values(part, f"{path}[{place}]")
-    else:
-        yield path, value
 
 
 def _short(value: Any) -> str:

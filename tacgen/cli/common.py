@@ -13,7 +13,7 @@ import click
 import typer
 from typer.core import TyperGroup
 
-from tacgen.base import array_cache, compiled, output_file, regular_file
+from tacgen.base import output_file, regular_file
 from tacgen.base.errors import LeftOut, UserError, printable
 from tacgen.base.terminal import dropping, open_standard_streams, say
 
@@ -213,6 +213,7 @@ def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESS_SPACE_BYTES:
         raise MemoryError
+    from tacgen.base import array_cache
     from tacgen.recipe import assets, plan
 
     with array_cache.telling(_compiling):
@@ -223,9 +224,10 @@ def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)
 
 def _compiling(kind: str) -> None:
     """Say, once, that code is compiled, which makes the first command on a machine wait."""
+    from tacgen.base.compiled import COMPILED_ENTRY
     from tacgen.report.progress import COMPILING
 
-    if kind == compiled.COMPILED_ENTRY and COMPILING not in noted:
+    if kind == COMPILED_ENTRY and COMPILING not in noted:
         noted.add(COMPILING)
         say(COMPILING, err=True)
 

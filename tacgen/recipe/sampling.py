@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tacgen.recipe.model import MAX_LHS_SAMPLES, Distribution, Vary
 from tacgen.sensor.validation_messages import Issue
-from tacgen.sensor.yaml_source import KeyPath, put
+from tacgen.sensor.yaml_source import KeyPath, branches, put
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,8 +56,7 @@ def inner_spreads(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, dic
     if isinstance(value, dict) and len(value) == 1 and value.keys() <= Distribution.model_fields.keys():
         yield path, value
         return
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
-    for step, item in items:
+    for step, item in branches(value):
         yield from inner_spreads(item, (*path, step))
 
 

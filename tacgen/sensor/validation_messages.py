@@ -4,7 +4,7 @@ import difflib
 import json
 import math
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tacgen.base.errors import UserError
-from tacgen.sensor.yaml_source import CHOICE_KEYS, KeyPath, Mark, Tree, at, describe, format_path
+from tacgen.sensor.yaml_source import CHOICE_KEYS, KeyPath, Mark, Tree, at, describe, format_path, leaves
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -95,8 +95,11 @@ class Issue:
 
 def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Issue]]:
     """Validate plain data strictly (neither text nor true is a number): the model, or all problems."""
-    if huge := [Issue(path, f"must be within {MAX_NUMBER:g} (got {number:g})") for path, number in _huge(data, ())]:
-        return None, huge
+    numbers = [
+        (path, value) for path, value in leaves(data) if isinstance(value, int | float) and path[-1:] != ("seed",)
+    ]
+    if huge := [(path, value) for path, value in numbers if MAX_NUMBER < abs(value) < math.inf]:
+        return None, [Issue(path, f"must be within {MAX_NUMBER:g} (got {value:g})") for path, value in huge]
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
     except ValidationError as error:
@@ -111,14 +114,6 @@ def explained(model: type[BaseModel], data: Any, error: ValidationError) -> User
     misspelt = {(*p.path[:-1], p.meant) for p in problems if p.meant}
     lines = [": ".join(filter(None, [format_path(p.path), p.message])) for p in problems if p.path not in misspelt]
     return UserError(f"{model.__name__}: {line}" for line in lines)
-
-
-def _huge(data: Any, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
-    """The numbers beyond MAX_NUMBER, and their paths."""
-    for step, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
-        if isinstance(value, int | float) and MAX_NUMBER < abs(value) < math.inf and step != "seed":
-            yield (*path, step), value
-        yield from _huge(value, (*path, step))
 
 
 def _together(problems: list[Issue]) -> list[Issue]:

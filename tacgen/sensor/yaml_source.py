@@ -148,6 +148,17 @@ def put(data: Any, path: KeyPath, value: Any) -> Any:
     return {**data, step: put(data.get(step), rest, value)}
 
 
+def branches(data: Any) -> Iterable[tuple[str | int, Any]]:
+    """The steps from a mapping or list and what is there; nothing for any other value."""
+    return data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list | tuple) else ()
+
+
+def leaves(data: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
+    """Path and value of every number and text, and of every empty mapping and list."""
+    inside = [leaf for step, value in branches(data) for leaf in leaves(value, (*path, step))]
+    yield from inside or [(path, data)]
+
+
 def describe(value: Any) -> str:
     """A value for an error message, short and in YAML's notation."""
     if value is None:
