@@ -23,8 +23,8 @@ OUTPUT = Output(
     "mesh, displacement, Cauchy stress of cells and nodes",
     {
         "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", most=MAX_COORDINATE_MM),
-        "/fields/cauchy_stress": Entry("<f4", "N m 6", "MPa", "Cauchy stress in cells, xx yy zz yz xz xy"),
-        "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "Cauchy stress at nodes, xx yy zz yz xz xy"),
+        "/fields/cauchy_stress": Entry("<f4", "N m 6", "MPa", "stress, xx yy zz yz xz xy"),
+        "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "stress, xx yy zz yz xz xy"),
         "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", most=MAX_COORDINATE_MM),
         "/mesh/cells": Entry("<i4", "m 4|8|10", "1", "nodes of each cell", axes="cell corner", below="n"),
         "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", below="m"),
