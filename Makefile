@@ -65,7 +65,7 @@ torture: sync
 
 bench: sync
 	$(BIN)/python -m benchmarks -o docs $(BENCH_FLAGS)
-	$(BIN)/python -m benchmarks.summary
+	$(BIN)/python -m benchmarks.figures
 
 docs: sync
 	@# not --quiet: with it --strict counts no warnings
