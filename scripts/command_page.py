@@ -32,9 +32,7 @@ def page() -> str:
     assert isinstance(group, click.Group)
     context = click.Context(group, info_name="tacgen")
     commands = dict(leaves(group, ""))
-    lines = [HEAD, "| command | what it does |", "|---|---|"]
-    for name, command in commands.items():
-        lines.append(f"| [`{name}`](#tacgen-{name.replace(' ', '-')}) | {cell((command.help or '').splitlines()[0])} |")
+    lines = [HEAD, ", ".join(f"[`{name}`](#tacgen-{name.replace(' ', '-')})" for name in commands) + "."]
     for name, command in commands.items():
         lines += ["", f"## tacgen {name}", "", *section(command, click.Context(command, context, name))]
     return "\n".join(lines) + "\n"

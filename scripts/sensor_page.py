@@ -49,7 +49,7 @@ PLACES |= {
     "Motion": "`markers.motion`",
     "ThicknessResponse": "`thickness_response`",
 }
-BOUNDS = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 WORDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
 
 
@@ -57,15 +57,19 @@ def page() -> str:
     """The text of docs/SENSOR.md."""
     schema = sensor_schema()
     parts = {"Sensor": schema, **schema["$defs"]}
-    lines = [HEAD]
+    lines, told = [HEAD], dict[str, str]()  # rows of laws, by their keys
     for name, place in PLACES.items():
         part = parts.pop(name)
         about = part.get("description", Sensor.__doc__).split("\n\n")
         lines += [f"## {place[0].upper()}{place[1:]}", "", " ".join(" ".join(about).split()), ""]
         lines += ["| key | value | unit | default | what |", "|---|---|---|---|---|"]
-        for key, info in part["properties"].items():
-            if key != "source":
-                lines.append(row(key, info, key in part.get("required", ())))
+        keys = {key: info for key, info in part["properties"].items() if key != "source"}
+        rows = {key: row(key, info, key in part.get("required", ())) for key, info in keys.items()}
+        shared = [key for key in rows if "Layer" in name and told.get(key) == rows[key]]
+        lines += [text for key, text in rows.items() if key not in shared]
+        if shared:
+            lines += ["", f"As above: {', '.join(f'`{key}`' for key in shared)}."]
+        told |= rows if "Layer" in name else {}
         lines.append("")
     assert not parts, f"no place is known of {', '.join(parts)}"
     return "\n".join([*lines, UNIT.read_text(encoding="utf-8")])
@@ -90,7 +94,7 @@ def allowed(info: dict[str, Any]) -> str:
     if info["type"] == "array":
         return _several(info)
     bounds = [f"{word} {info[key]:g}" for key, word in BOUNDS.items() if key in info]
-    return f"{WORDS[info['type']]} {' and '.join(bounds)}".strip()
+    return f"{WORDS[info['type']]} {', '.join(bounds)}".strip()
 
 
 def _several(info: dict[str, Any]) -> str:
