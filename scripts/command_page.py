@@ -50,8 +50,7 @@ def leaves(group: click.Group, prefix: str) -> Iterator[tuple[str, click.Command
 
 def section(command: click.Command, context: click.Context) -> list[str]:
     """Usage, help and the table of one command's parameters."""
-    lines = ["```text", " ".join([context.command_path, *command.collect_usage_pieces(context)]), "```", ""]
-    lines += [" ".join((command.help or "").split())]
+    lines = [" ".join((command.help or "").split())]
     texts = helps(command.callback)
     rows = [row(parameter, context, texts[parameter.name]) for parameter in command.params]
     return [*lines, "", "| argument or option | default | what |", "|---|---|---|", *rows] if rows else lines
