@@ -1,6 +1,6 @@
 """Draw the looping picture of the README: a press, slide and twist on four sensors.
 
-    python scripts/readme_picture.py docs/loop.webp      # eight minutes on one core
+python scripts/readme_picture.py docs/loop.webp      # eight minutes on one core
 """
 
 import sys
