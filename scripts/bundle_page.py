@@ -13,7 +13,7 @@ PROSE = Path(__file__).with_suffix(".md")  # the page's first part
 
 def _line(path: str, row: Entry) -> str:
     shape = ", ".join(str(d).replace("*", "\\*").replace("|", " or ") for d in row.dims)
-    kind = ", ".join(filter(None, [np.dtype(row.dtype).name, row.rounding]))
+    kind = ", ".join(filter(None, [np.dtype(row.dtype).name.replace("float64", ""), row.rounding]))
     return f"| `{path}` | ({shape}) | {kind} | {'' if row.units == '1' else row.units} | {row.long_name} |"
 
 

@@ -10,6 +10,7 @@ import typer
 
 from tacgen.cli.main import app
 
+PLAIN = {"TEXT", "PATH"}  # metavars that say no more than the help
 HEAD = """# Commands
 
 Generated from the command line by `python scripts/command_page.py > docs/COMMANDS.md`; do not edit.
@@ -53,7 +54,7 @@ def section(command: click.Command, context: click.Context) -> list[str]:
     lines = [" ".join((command.help or "").split())]
     texts = helps(command.callback)
     rows = [row(parameter, context, texts[parameter.name]) for parameter in command.params]
-    return [*lines, "", "| argument or option | default | what |", "|---|---|---|", *rows] if rows else lines
+    return [*lines, "", "| option | default | what |", "|---|---|---|", *rows] if rows else lines
 
 
 def helps(callback: Any) -> dict[str, str]:
@@ -69,7 +70,9 @@ def row(parameter: click.Parameter, context: click.Context, text: str) -> str:
     if isinstance(parameter, click.Argument):
         named = f"`{metavar}`"
     else:
-        named = ", ".join(f"`{name}`" for name in parameter.opts) + ("" if flag else f" `{metavar}`")
+        named = ", ".join(f"`{name}`" for name in parameter.opts) + (
+            "" if flag or metavar in PLAIN else f" `{metavar}`"
+        )
     return f"| {cell(named)} | {default(parameter, flag)} | {cell(text)} |"
 
 
