@@ -5,6 +5,7 @@
 #   make test    the tests
 #   make torture hostile files and kills, half an hour on two cores: what became of them, into docs/RESULTS.md
 #   make docs    the documentation site in out/site
+#   make release wheel and sdist in dist, and the wheel tried in an empty environment
 #   make gallery docs/gallery.md: every shape, movement and sensor, WORKERS scenes at a time, three hours on one core
 #   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 20 minutes; BENCH_FLAGS=--full for more
 
@@ -23,10 +24,10 @@ export MKL_NUM_THREADS ?= 1
 # every process that a test starts would compile what it imports
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help sync check test test-slow smoke torture bench docs gallery demo data sample clean
+.PHONY: help sync check test test-slow smoke torture bench docs release gallery demo data sample clean
 
 help:
-	@echo "make demo | data | sample | test | docs | gallery | check | test-slow | smoke | torture | bench | sync | clean"
+	@echo "make demo | data | sample | test | docs | release | gallery | check | test-slow | smoke | torture | bench | sync | clean"
 
 sync: .venv/synced
 
@@ -65,12 +66,15 @@ torture: sync
 
 bench: sync
 	$(BIN)/python -m benchmarks -o docs $(BENCH_FLAGS)
-	$(BIN)/python -m benchmarks.summary
+	$(BIN)/python -m benchmarks.figures
 
 docs: sync
 	@# not --quiet: with it --strict counts no warnings
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the site: out/site/index.html"
+
+release: sync
+	scripts/try_wheel.sh $(BIN)/python
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart

@@ -139,10 +139,10 @@ def _labels(say: Say) -> Table:
     heads = columns("sensor", "solve [s]: .2f", "stress [ms]: .0f", "maps [ms]: .0f", "share: .1%")
     heads |= columns("force: .2%", "traction: .1%", "alternates: .1%", "map's sum: .0e", "Coulomb: .1e")
     note = (
-        "A frame of a ball pressed, slid and twisted, friction 0.6, at `default`; share: time of stress and maps over"
-        " that of the solve. In the worst frame: the sum of sigma n against the force; sigma n against the contact"
-        " traction over the face (L2); the alternation of pressure between cells; the error of the force map's sum; the"
-        " largest excess of the traction map over Coulomb's law, over the largest limit."
+        "At `default`, friction 0.6; share: time of stress and maps over that of the solve. In the worst frame:"
+        " the sum of sigma n against the force; sigma n against the contact traction (L2); the alternation of"
+        " pressure between cells; the error of the force map's sum; the largest excess of traction over Coulomb's"
+        " law."
     )
     return Table("Labels: cost and agreement", heads, rows, note)
 

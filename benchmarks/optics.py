@@ -10,11 +10,9 @@ from tacgen.recipe import assets, loading
 from tacgen.render import mitsuba_variants
 
 ABOUT = (
-    "Images of solved faces against Mitsuba's `path`: PSNR on developed images before rounding and without the camera's"
-    " noise, corrected for the noise of the reference (+-: one standard deviation of the remaining noise and of the"
-    " choice of pixels), and processor seconds of a frame on one core; ready: setup once per sensor, if not cached."
-    " `path` is measured in bands, a sixteenth of the image; the seconds are those of a whole image. In the plots,"
-    " points above each other are one method on its faces."
+    "Images of solved faces against Mitsuba's `path`: PSNR before rounding and noise, corrected for the noise"
+    " of the reference (+-: what remains of it), and processor seconds of a frame on one core; ready: setup"
+    " once per sensor, if not cached. In the plots, points above each other are one method on its faces."
 )
 TABLE = [("table", "64")]  # Taxim's table, for clear gels; paths a pixel of its calibration
 SENSORS = ("gelsight_mini", "digit", "ninedtact")

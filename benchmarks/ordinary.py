@@ -36,15 +36,11 @@ STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
 MEASURES = {"rate": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
 QUANTILES = (50, 90, 99)  # [%]
 ABOUT = (
-    "Scenes as in a data set: three sensors with their own materials; seven shapes of 1 to 5 mm and the five shipped"
-    " objects; pressed by 0.1 to 0.35 of the gel's thickness (DIGIT: of 2.5 mm, at the rim) in 3 to 5 frames, then up"
-    " to two of slide (at most 3 mm, 0.35 mm a frame), twist (30 deg) and tilt (5 deg), and released in 3 of 10;"
-    " friction 0.2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are processor"
-    " seconds of the solve, without mesh and setup; each scene runs on one core while others run on the other cores."
-    f" Refused: before it is solved; rejected: a frame did not converge; out of time: {LIMIT_S:.0f} s had passed"
-    " before the last frame; crashed: a bug. The mean of seconds a frame is the time of all scenes that are ok over"
-    " their frames: what a data set costs; a million frames take its core-hours. A scene's seconds, iterations and"
-    " factorisations are means over its frames; p50, p90 and p99 are quantiles over the scenes that are ok."
+    "Scenes as in a data set: three sensors, seven shapes and the five shipped objects, pressed by 0.1 to"
+    " 0.35 of the gel's thickness, slid, twisted, tilted and partly released, friction 0.2 to 1. Processor"
+    " seconds of the solve alone, a scene a core. Refused: before it is solved; rejected: a frame did not"
+    f" converge; out of time: {LIMIT_S:.0f} s had passed before the last frame; crashed: a bug. The mean of"
+    " seconds a frame is what a data set costs."
 )
 
 

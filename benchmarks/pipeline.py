@@ -24,10 +24,9 @@ from tacgen.base import machine
 from tacgen.base.clock import Clock
 
 ABOUT = (
-    "A ball of 4 mm pressed (1 mm; DIGIT 0.6), slid 1 mm and twisted 10 deg with friction 0.6, from recipe to bundle."
-    " Each line is a separate process on one core, while others run on the other cores; processor seconds a frame. The"
-    " mesh and the setup of images are made once per scene and divided among its frames. Before the measurement each"
-    " process makes a smaller scene, so that code is compiled and caches are filled."
+    "A ball of 4 mm pressed (1 mm; DIGIT 0.6), slid 1 mm and twisted 10 deg with friction 0.6, from recipe to"
+    " bundle: processor seconds a frame, a process a core, compiled before. The mesh and the setup of images"
+    " are divided among the scene's frames."
 )
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.6, "ninedtact": 1.0}  # [mm]
 MARKED = ("gelsight_mini",)  # sensors with markers
@@ -178,10 +177,9 @@ def _first(say: Say) -> Table:
         "sensor", "caches", "s to the first frame: .1f", "s in all: .1f", "processor in all: .1f", "memory [MB]: .0f"
     )
     note = (
-        "The quickstart (15 frames, `default`) on every sensor as by `tacgen run`, one after the other: caches of"
-        " compiled code and of the setup of images are empty, or filled by the line above. With two cores, one"
-        " compiles the solver while the other compiles the code for images. Wall-clock seconds including the start of"
-        " Python, and processor seconds of all processes; memory of the largest process."
+        "The quickstart (15 frames, `default`) as by `tacgen run`: caches of compiled code and images are empty,"
+        " or filled by the line above. Wall-clock seconds including the start of Python, and processor seconds of"
+        " all processes."
     )
     return Table("The first scene", heads, rows, note)
 

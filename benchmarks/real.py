@@ -29,13 +29,11 @@ from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 ABOUT = (
-    "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
-    " inside the contact circle between the ball's normals and those of a network (smoothed change of colour and"
-    " position to slopes, three layers as in the SDK of the Mini's maker) trained on rendered dents; beside it, of the"
-    " same network on the same presses rendered with the camera's noise (what a perfect sensor file would reach), of a"
-    " network trained on the unit's other presses, of one trained on these as rendered (what so few presses teach), and"
-    " of the flat face. Contrast: change of colour per slope of the"
-    " ball, rendered over real. The LEDs of the shipped files were fitted to some of these presses, as stated there."
+    "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean"
+    " angle between the ball's normals and those of a network trained on rendered dents; beside it, on the"
+    " same presses rendered with noise (what a perfect sensor file would reach), of networks trained on the"
+    " unit's other presses, real and rendered, and of the flat face. Contrast: change of colour per slope of"
+    " the ball, rendered over real. The shipped files' LEDs were fitted to some of these presses."
 )
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
          "correlation red: .2f", "of green: .2f", "of blue: .2f")  # fmt: skip
@@ -49,11 +47,10 @@ DENTS = 4  # of each drawn unit
 PARTS = 3  # into which a unit's presses are divided, to train on the others
 TRAINED = ("other units' population", "whole population", "own file", "own photographs, left out")
 NOTE = (
-    "Mean error of the normals inside the contact circles [deg], by a network trained on dents of the units that"
-    f" {RECIPE} draws around the files of the two other units; around all three; of the file that was fitted to the"
-    " unit itself (its presses seen); and on the unit's own photographs, each third of them left out once. Plate,"
-    " lobes and colour matrix of all files were found on the first unit. Pixels that a dot hides are left out; the"
-    " contact circles of the dotted unit were drawn by hand, up to 0.85 of the ball's radius."
+    f"Mean error of the normals [deg], by a network trained on the units that {RECIPE} draws around the files"
+    " of the two other units; around all three; on the file that was fitted to the unit itself; and on two"
+    " thirds of the unit's own photographs. Plate, lobes and colour matrix of all files were found on the"
+    " first unit; contact circles of the dotted one were drawn by hand."
 )
 
 WEDGE, FORCES = "gelsight_wedge", "forces.csv"
@@ -294,9 +291,7 @@ def wedge_tables(say: Say) -> list[Table]:
               found, "With 95 % intervals, of both grips; published by those who used the unit, the modulus from its"
               " hardness. The ball's dimples are not in the model."),
         Table("Forces on a GelSight Wedge", columns(*heads), errors,
-              "Mean absolute error of forces up to 25 N, each grip judged by the fit to the other. The gauge lags by up"
-              " to three pictures, differently in each grip: the lag of the judged grip is fitted to its own forces,"
-              " one number; beside it without alignment. The judged pictures, without their forces, tell the contrast"
-              " where this grip pressed; beside it with the contrast of the other grip, 1.2 mm away. The gauge's own"
-              " scatter is 1 to 1.5 N."),
+              "Mean absolute error of forces up to 25 N, each grip judged by the fit to the other; the lag of the"
+              " judged grip's gauge is fitted to its own forces. The judged pictures, without their forces, tell the"
+              " contrast; beside it with that of the other grip. The gauge's own scatter is 1 to 1.5 N."),
     ]  # fmt: skip

@@ -28,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("numpy", "scipy", "warp-lang", "cvxopt", "pymetis", "mitsuba", "drjit", "h5py")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
 MARKERS = "osD^vPX*"  # one more than colours, so that the eighth series differs from the first
+LONGEST = 140  # words of a table on the page: longer ones stay in the JSON, which the page names
 CHILD = """
 import importlib, json, sys
 module, name = sys.argv[1].split(":")
@@ -278,23 +279,26 @@ def page(folder: Path, names: Sequence[str], file: Path, title: str, head: str) 
 
 def _section(found: dict[str, Any], folder: Path, home: Path) -> list[str]:
     m = found["made"]
-    packages = ", ".join(f"{name} {number}" for name, number in m["packages"].items())
-    speed = f" ({m['gflops']} Gflop/s on one when it ended)" if "gflops" in m else ""
-    speed += f" (CHOLMOD: {m['cholmod_blas']})" if m.get("cholmod_blas") else ""
-    machine = f"{m['processor']}, {m['cores']} cores{speed}, {m['memory_gb']} GB, {m['system']}"
     parts = [
         f"## {found['bench'].capitalize()}",
         found["about"],
-        f"*Made {m['date']} in {found['seconds']:.0f} s on {machine}; Python {m['python']}, {packages}.*",
+        f"*Made {m['date']} on {m['processor']}, {m['cores']} cores, {m['memory_gb']} GB.*",
     ]
     if found["plots"]:
         picture = (folder / f"{found['bench']}.png").relative_to(home)
         parts.append(f"![{found['bench']}]({picture.as_posix()})")
     for table in found["tables"]:
-        parts += [f"### {table['title']}", _grid(table)]
-        if table["note"]:
+        grid = _grid(table)
+        long = len(grid.replace("|", " ").split()) > LONGEST
+        parts += [f"### {table['title']}", _left_out(table, folder / f"{found['bench']}.json") if long else grid]
+        if table["note"] and not long:
             parts.append(table["note"])
     return parts
+
+
+def _left_out(table: dict[str, Any], source: Path) -> str:
+    columns = ", ".join(table["columns"])
+    return f"{len(table['rows'])} rows in `{source.parent.name}/{source.name}`: {columns}."
 
 
 def _grid(table: dict[str, Any]) -> str:

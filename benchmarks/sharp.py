@@ -26,10 +26,9 @@ QUALITIES = {"draft": "draft", "default": "default", "half": "{edge_mm: 0.18, dh
 TIP = 0.05  # radius of the analytic wedge and cone [mm]
 LIMIT_S = {"smoke": 60.0, "normal": 600.0, "full": 3000.0}  # longest solve [s]
 ABOUT = (
-    "Closed meshes with sharp edges and tips, pressed in two frames into a GelSight Mini with friction 0.6: the force"
-    " at `draft` and `default` against edges of 0.18 mm, half of the default's, and the expected error that validate,"
-    " bundle and picture tell. `analytic` is the same wedge or cone with a tip of 0.05 mm, on the finest mesh; it"
-    " reaches deeper than the sharp one by the rounding's part of its tip. Refused: the expected error is above 50 %."
+    "Closed meshes with sharp edges and tips, pressed into a GelSight Mini with friction 0.6: the force at"
+    " `draft` and `default` against edges of 0.18 mm, and the expected error that is told. `analytic` is the"
+    " same wedge or cone with a tip of 0.05 mm. Refused: the expected error is above 50 %."
 )
 HEADS = columns(
     "case", "depth [mm]: .2f", "quality", "force [N]: .4f", "error: +.1%", "expected: .1%", "within its factor",

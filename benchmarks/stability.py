@@ -21,10 +21,10 @@ from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 ABOUT = (
-    "Extreme scenes, by name and at random: each converges, is refused before the solve, or is rejected with a reason;"
-    " no frame may be wrong. Over a scene's frames: most Newton iterations and substeps, smallest J at any point of any"
-    " element (a certified lower bound), smallest gap to the shrunk indenter, largest penetration between contact"
-    " points (overlap), and the largest of force balance and residual over the contact force."
+    "Extreme scenes, by name and at random: each converges, is refused before the solve, or is rejected with"
+    " a reason; no frame may be wrong. Over a scene's frames: most iterations and substeps, least certified"
+    " J, least gap, largest penetration between contact points (overlap), and the largest balance or"
+    " residual."
 )
 HEADS = {
     "case": "", "status": "", "frames": "d", "force [N]": ".4g", "iterations": "d", "substeps": "d", "least J": ".3f",
@@ -183,12 +183,8 @@ def _summary(known: list[Outcome], chance: list[Outcome]) -> Table:
     heads |= columns("median: .0f", "least J: .3f", "least gap [mm]: .1e", "worst balance: .0e")
     heads |= columns("overlap [edges]: .2f")
     note = (
-        "Wrong: an accepted frame with an inverted element, a gap below 0, or a balance or residual above 1e-3, but in"
-        " a fold, where .05 is allowed and not listed. Overlap"
-        " does not count: features sharper than the mesh penetrate between contact points, and the error of the force"
-        " does not depend on that. For boxes, cones and wedges with radii of 0.1 to 0.2 mm, on cells of 0.4 and 0.8 mm"
-        " against 0.25 mm, the overlap was a third of an edge at most, and the force error 2 to 40 %, largest for tips"
-        " and for light contact."
+        "Wrong: an accepted frame with an inverted element, a gap below 0, or a balance or residual above 1e-3,"
+        " but in a fold. Overlap does not count: features sharper than the mesh penetrate between contact points."
     )
     return Table("Together", heads, rows, note)
 

@@ -72,8 +72,7 @@ def _table(names: list[str], found: Iterable[tuple[Array, Array, float, float]],
         say(f"{name}: {off.max():.2%} off shorter frames")
     heads = columns("way", "frames: d", "force [N]: .4g", "worst: .2%", "last: .2%", "s: .1f", "s, shorter: .1f")
     note = (
-        f"Force of each frame against that of the same path with {FINER} frames for each, over the largest force: worst"
-        " and last of the frames that both reached. At edge 0.8 mm. Four frames for each have an error themselves: 2 %"
-        " against 32 for each, for a rough rod that slides as a whole while the gel bulges in front of it."
+        f"Force of each frame against that of the same path with {FINER} frames for each, over the largest force:"
+        " worst and last of the frames that both reached. At edge 0.8 mm."
     )
     return Table("Frames that are long", heads, rows, note)

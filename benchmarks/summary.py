@@ -1,9 +1,4 @@
-"""A table of the most important results, for the README and the head of the results page.
-
-    python -m benchmarks.summary
-
-writes it into README.md, between its two marker lines; `make bench` runs it, and a test compares both pages.
-"""
+"""A table of the most important results, for the head of the results page."""
 
 import json
 from collections import Counter
@@ -14,8 +9,6 @@ from statistics import median
 from typing import Any
 
 Row = dict[str, Any]
-ROOT = Path(__file__).resolve().parents[1]
-BEGIN, END = "<!-- figures: written by make bench -->\n", "<!-- end of figures -->"
 ALONE = "without an engine"  # the column of efficiency
 SENSORS = {"gelsight_mini": "Mini", "digit": "DIGIT", "ninedtact": "9DTact"}
 
@@ -183,17 +176,3 @@ TOLD = {
     "sharp": _sharp,
     "pay": _pay,
 }
-
-
-def main() -> None:
-    """Write the figures of docs/results into README.md."""
-    readme = ROOT / "README.md"
-    head, _, rest = readme.read_text().partition(BEGIN)
-    _, found, tail = rest.partition(END)
-    if not found:
-        raise SystemExit("README.md has no place for figures")
-    readme.write_text(f"{head}{BEGIN}{short(ROOT / 'docs' / 'results')}\n{END}{tail}")
-
-
-if __name__ == "__main__":
-    main()

@@ -22,9 +22,9 @@ from benchmarks import results_page
 from tacgen.base import machine
 
 ABOUT = (
-    "Hostile inputs, each read by a command or a loader in a process of its own, and processes killed at a call to the"
-    " disk and run again. Accepted is what a reader does not read, what is as good as it was, what `check` tells, and"
-    " of crafted files with right digests what is laid out as a bundle; of kills what a second run made whole."
+    "Hostile inputs, each read by a command or a loader in a process of its own, and processes killed at a"
+    " call to the disk and run again. Accepted is what a reader does not use, what `check` tells, and of"
+    " kills what a second run made whole."
 )
 
 

@@ -60,10 +60,9 @@ def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) 
     heads = columns("workers: d", "start [s]: .1f", "frames a second: .2f", "efficiency: .2f", "without an engine: .2f")
     heads |= columns("equal bytes")
     note = (
-        f"{each} scenes per worker of {frames} frames at `draft` on the Mini: force, traction, height, markers, rgb."
-        " Wall-clock seconds, which other work on the machine increases. Start: time until a worker begins its first"
-        " scene; the rate is measured after that. Without an engine: as many independent processes, each with a share"
-        " of the scenes; the slow-down of a machine whose cores are all busy is in both."
+        f"{each} scenes per worker of {frames} frames at `draft` on the Mini: force, traction, height, markers,"
+        " rgb. Start: time until a worker begins its first scene; the rate is measured after that. Without an"
+        " engine: as many independent processes."
     )
     series = [
         Series("measured", [float(n) for n in many], rates),

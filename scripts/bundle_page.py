@@ -13,8 +13,8 @@ PROSE = Path(__file__).with_suffix(".md")  # the page's first part
 
 def _line(path: str, row: Entry) -> str:
     shape = ", ".join(str(d).replace("*", "\\*").replace("|", " or ") for d in row.dims)
-    kind = ", ".join(filter(None, [np.dtype(row.dtype).name, row.rounding]))
-    return f"| `{path}` | ({shape}) | {kind} | {row.units} | {row.long_name} | {row.axes} |"
+    kind = ", ".join(filter(None, [np.dtype(row.dtype).name.replace("float64", ""), row.rounding]))
+    return f"| `{path}` | ({shape}) | {kind} | {'' if row.units == '1' else row.units} | {row.long_name} |"
 
 
 def page() -> str:
@@ -23,7 +23,7 @@ def page() -> str:
     told: set[str] = set()
     for name, output in OUTPUTS.items():
         lines += ["", f"### `{name}`", "", f"{output.text[0].upper()}{output.text[1:]}.", ""]
-        lines += ["| path | shape | type | unit | what | axes |", "|---|---|---|---|---|---|"]
+        lines += ["| path | shape | type | unit | what |", "|---|---|---|---|---|"]
         lines += [_line(path, row) for path, row in output.rows.items() if path not in told]
         told |= output.rows.keys()
     lines += ["", "## Attributes of the file", "", "| name | type | what |", "|---|---|---|"]

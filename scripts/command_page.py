@@ -10,6 +10,7 @@ import typer
 
 from tacgen.cli.main import app
 
+PLAIN = {"TEXT", "PATH"}  # metavars that say no more than the help
 HEAD = """# Commands
 
 Generated from the command line by `python scripts/command_page.py > docs/COMMANDS.md`; do not edit.
@@ -32,9 +33,7 @@ def page() -> str:
     assert isinstance(group, click.Group)
     context = click.Context(group, info_name="tacgen")
     commands = dict(leaves(group, ""))
-    lines = [HEAD, "| command | what it does |", "|---|---|"]
-    for name, command in commands.items():
-        lines.append(f"| [`{name}`](#tacgen-{name.replace(' ', '-')}) | {cell((command.help or '').splitlines()[0])} |")
+    lines = [HEAD, ", ".join(f"[`{name}`](#tacgen-{name.replace(' ', '-')})" for name in commands) + "."]
     for name, command in commands.items():
         lines += ["", f"## tacgen {name}", "", *section(command, click.Context(command, context, name))]
     return "\n".join(lines) + "\n"
@@ -52,11 +51,10 @@ def leaves(group: click.Group, prefix: str) -> Iterator[tuple[str, click.Command
 
 def section(command: click.Command, context: click.Context) -> list[str]:
     """Usage, help and the table of one command's parameters."""
-    lines = ["```text", " ".join([context.command_path, *command.collect_usage_pieces(context)]), "```", ""]
-    lines += [" ".join((command.help or "").split())]
+    lines = [" ".join((command.help or "").split())]
     texts = helps(command.callback)
     rows = [row(parameter, context, texts[parameter.name]) for parameter in command.params]
-    return [*lines, "", "| argument or option | default | what |", "|---|---|---|", *rows] if rows else lines
+    return [*lines, "", "| option | default | what |", "|---|---|---|", *rows] if rows else lines
 
 
 def helps(callback: Any) -> dict[str, str]:
@@ -72,7 +70,9 @@ def row(parameter: click.Parameter, context: click.Context, text: str) -> str:
     if isinstance(parameter, click.Argument):
         named = f"`{metavar}`"
     else:
-        named = ", ".join(f"`{name}`" for name in parameter.opts) + ("" if flag else f" `{metavar}`")
+        named = ", ".join(f"`{name}`" for name in parameter.opts) + (
+            "" if flag or metavar in PLAIN else f" `{metavar}`"
+        )
     return f"| {cell(named)} | {default(parameter, flag)} | {cell(text)} |"
 
 

@@ -158,7 +158,7 @@ def page(found: dict[str, list[Bundle]], paths: bool) -> str:
     for sensor, bundles in found.items():
         sheets += heading(sensor, bundles)
         for kind in kinds:
-            picture = f"![{sensor}, {kind}](gallery/{sensor}-{kind}.webp){{ loading=lazy }}"
+            picture = f"![{kind}](gallery/{sensor}-{kind}.webp){{loading=lazy}}"
             sheets += [f"### {sensor}: {kind}", "", picture, ""]
     before, section = Path(__file__).with_suffix(".md").read_text().split("<!-- paths -->\n")
     texts = {"SCENES": [str(sum(map(len, found.values())))], "INDENTERS": indenters, "MOVEMENTS": moves}

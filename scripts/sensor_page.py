@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.recipe.schema import sensor_schema
-from tacgen.report.sensor_sheet import unit_of
 from tacgen.sensor.model import Sensor
 
 HEAD = """# The sensor file
@@ -15,7 +14,7 @@ A sensor file is YAML 1.2; [Your own sensor](cookbook/own_sensor.md) leads throu
 MPa, angles in degrees. Frame: x right and y down in the image, z out of the gel toward the object; the origin is the
 centre of the untouched coated face, its highest point. `source`, in each part, says where its numbers come from, or
 `assumed`; without it there is a warning. An unknown key is an error. A colour may be one number, which stands for three
-equal ones.
+equal ones. Keys name their unit.
 
 `tacgen sensor show NAME` prints the values of a shipped sensor or of a file, `tacgen schema --sensor` the JSON Schema.
 """
@@ -49,7 +48,7 @@ PLACES |= {
     "Motion": "`markers.motion`",
     "ThicknessResponse": "`thickness_response`",
 }
-BOUNDS = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 WORDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
 
 
@@ -57,15 +56,19 @@ def page() -> str:
     """The text of docs/SENSOR.md."""
     schema = sensor_schema()
     parts = {"Sensor": schema, **schema["$defs"]}
-    lines = [HEAD]
+    lines, told = [HEAD], dict[str, str]()  # rows of laws, by their keys
     for name, place in PLACES.items():
         part = parts.pop(name)
         about = part.get("description", Sensor.__doc__).split("\n\n")
         lines += [f"## {place[0].upper()}{place[1:]}", "", " ".join(" ".join(about).split()), ""]
-        lines += ["| key | value | unit | default | what |", "|---|---|---|---|---|"]
-        for key, info in part["properties"].items():
-            if key != "source":
-                lines.append(row(key, info, key in part.get("required", ())))
+        lines += ["| key | value | default | what |", "|---|---|---|---|"]
+        keys = {key: info for key, info in part["properties"].items() if key != "source"}
+        rows = {key: row(key, info, key in part.get("required", ())) for key, info in keys.items()}
+        shared = [key for key in rows if "Layer" in name and told.get(key) == rows[key]]
+        lines += [text for key, text in rows.items() if key not in shared]
+        if shared:
+            lines += ["", f"As above: {', '.join(f'`{key}`' for key in shared)}."]
+        told |= rows if "Layer" in name else {}
         lines.append("")
     assert not parts, f"no place is known of {', '.join(parts)}"
     return "\n".join([*lines, UNIT.read_text(encoding="utf-8")])
@@ -76,7 +79,7 @@ def row(key: str, info: dict[str, Any], required: bool) -> str:
     default = (
         "required" if required else "none" if info.get("default") in (None, "") else f"`{_plain(info['default'])}`"
     )
-    return f"| `{key}` | {allowed(info)} | {unit_of(key)} | {default} | {_what(info)} |"
+    return f"| `{key}` | {allowed(info)} | {default} | {_what(info)} |"
 
 
 def allowed(info: dict[str, Any]) -> str:
@@ -84,13 +87,13 @@ def allowed(info: dict[str, Any]) -> str:
     if "anyOf" in info:
         return " or ".join(allowed(each) for each in info["anyOf"] if each.get("type") != "null")
     if "$ref" in info or "oneOf" in info:
-        return "a mapping, below"
+        return "mapping"
     if "const" in info or "enum" in info:
         return ", ".join(f"`{_plain(each)}`" for each in info.get("enum", [info.get("const")]))
     if info["type"] == "array":
         return _several(info)
     bounds = [f"{word} {info[key]:g}" for key, word in BOUNDS.items() if key in info]
-    return f"{WORDS[info['type']]} {' and '.join(bounds)}".strip()
+    return f"{WORDS[info['type']]} {', '.join(bounds)}".strip()
 
 
 def _several(info: dict[str, Any]) -> str:

@@ -159,6 +159,12 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in anchors(target), link
 
 
+def test_the_picture_of_the_house_has_every_folder() -> None:
+    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
+    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
+    assert drawn == folders | {"torch"}
+
+
 def test_every_page_is_in_the_navigation() -> None:
     def pages(entry: object) -> Iterator[str]:
         if isinstance(entry, str):
@@ -287,27 +293,36 @@ def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) < 120
 
 
-@pytest.mark.slow
-def test_the_tutorial_runs(tmp_path: Path) -> None:
-    """Its files written, its commands and its Python run in order, in an empty folder, at quality draft."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    ran = []
-    for block in blocks(TUTORIAL):
+def run_page(page: Path, folder: Path, quality: str) -> int:
+    """Write a page's files and run its commands and its Python in order, in an empty folder; how many ran."""
+    environment, ran = os.environ | {"PYTHONPATH": str(ROOT)}, 0
+    for block in blocks(page):
         if block.title:
-            (tmp_path / block.title).write_text(block.text)
+            (folder / block.title).write_text(block.text)
         lines = [["-c", block.text]] if block.language == "python" else []
         if block.language == "sh":
             lines = [["-m", "tacgen", *arguments] for arguments in commands(block)]
         for line in lines:
             if line[2:3] == ["run"]:
-                line += ["--set", "quality=draft"]
+                line += ["--set", f"quality={quality}"]
             command = [sys.executable, *line]
-            done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+            done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
             assert done.returncode == 0, f"{' '.join(line)}\n{done.stdout}{done.stderr}"
-            ran.append(line)
-    assert len(ran) > 10
+            ran += 1
+    return ran
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs(tmp_path: Path) -> None:
+    assert run_page(TUTORIAL, tmp_path, "draft") > 10
     for made in ("draft.png", "traction.png", "many/report.html", "packed/index.json"):
         assert (tmp_path / "out" / made).stat().st_size > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lit_sensor", "random_movements", "tilt_until_slip"])
+def test_a_page_of_the_cookbook_runs(name: str, tmp_path: Path) -> None:
+    assert run_page(DOCS / "cookbook" / f"{name}.md", tmp_path, "{edge_mm: 1.0, dhat_mm: 0.1}") > 1
 
 
 @pytest.mark.slow

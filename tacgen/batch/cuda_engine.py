@@ -222,14 +222,17 @@ def usable_devices() -> list[str]:
     return found
 
 
-def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEvent | None = None) -> SceneResult:
+def run_scene(
+    row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
+) -> SceneResult:
     """As pipeline.run_scene, with the solution that there is for this scene."""
     from tacgen.batch import pipeline
+    from tacgen.batch.recorder import SceneWork
 
     solution, device = solution_file.read(_place(folder, row)), None
     if solution is not None and solution.states:
         device = _drawing_device(row)
-    return pipeline.run_scene(row, folder, overwrite=overwrite, on_event=on_event, solution=solution, device=device)
+    return pipeline.run_work(SceneWork(row, on_event, solution, device), folder, overwrite=overwrite)
 
 
 def prepare(row: Row) -> None:

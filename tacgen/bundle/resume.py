@@ -1,8 +1,8 @@
 """Resuming a run: a bundle is kept only if it is complete and has the same inputs."""
 
 import json
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,8 +32,10 @@ class SceneResult:
     bundles: tuple[bundle.Bundle, ...] = field(default=(), repr=False, compare=False)
 
 
-def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwrite: bool = False) -> SceneResult:
-    """Make a scene, unless its bundles exist, are complete and have the same inputs.
+@contextmanager
+def claimed(row: Row, folder: Path, *, overwrite: bool = False) -> Iterator[SceneResult | Path]:
+    """A scene's result, if its bundles exist, are complete and have the same inputs; else the path where the first of
+    them is to be made, while no other process may make them.
 
     With `overwrite`, those that another version of tacgen wrote are made again, and those of other inputs are replaced.
 
@@ -52,11 +54,12 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
         kept = tuple(one for one in found if one)
         if len(kept) == len(paths):
             attrs, frames = kept[0].attrs, kept[0].frames
-            return SceneResult(row.name, paths[0], attrs["status"], attrs["reason"], frames, bundles=kept)
+            yield SceneResult(row.name, paths[0], attrs["status"], attrs["reason"], frames, bundles=kept)
+            return
         for path, each, one in zip(paths, row.bundles, found, strict=True):
             if path.exists() and not (one or overwrite):
                 _refuse(path, each)
-        return make(paths[0])
+        yield paths[0]
 
 
 def existing(rows: Iterable[Row], folder: Path) -> dict[str, str]:

@@ -78,6 +78,10 @@ class Bulk:
         folding = tuple(barrier.evaluate(x) for barrier in self.folding)
         return BulkPoint(self.elastic, Total(self.other), x, points, folding)
 
+    def least_J(self, x: Array) -> float:
+        """Smallest J at the integration points."""
+        return min(float(part.min()) for part in self.at(x).J)
+
 
 class Tangent:
     """A factorised tangent of the bulk, condensed to the contact, with the deformation at which it was computed."""

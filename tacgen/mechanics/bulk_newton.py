@@ -9,8 +9,8 @@
         p <- the step of all nodes that goes with u
         x <- x + a p   with the first a = 1, 1/2, 1/4... that lowers the energy, normal forces frozen
 
-Each function is one kernel: it takes the problem and a solve's SolveState, and returns what it found and the SolveState
-after it; phases.PHASE_TRANSITIONS says which comes next.
+Each function is one kernel: it takes the numerics and the rows of scenes that wait for it, and returns an outcome for
+each; phases.PHASE_TRANSITIONS says which comes next.
 
 Folding of the gel's surface and wrinkling of its skin are instabilities: no quasi-static path continues, however short
 the load steps are. There the damped steps decrease the energy until the next equilibrium, like a slightly viscous gel.
@@ -18,187 +18,135 @@ In a load step that is merely long they would too, so damping waits until it has
 """
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 
-from tacgen.mechanics.barrier import Contact
-from tacgen.mechanics.bulk import Bulk, BulkPoint
-from tacgen.mechanics.condensation import DAMPING_FACTOR, MIN_DAMPING, Condensation, more
-from tacgen.mechanics.contact_newton import (
-    ContactIterate,
-    ContactStatus,
-    Quadratic,
-    QuadraticPoint,
-    contact_start,
-    contact_step,
-)
-from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.condensation import DAMPING_FACTOR, MIN_DAMPING, more
+from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import Failure, no_equilibrium
-from tacgen.mechanics.line_search import backtrack
-from tacgen.mechanics.linear_solvers import NotPositiveDefinite
-from tacgen.mechanics.load_step import Found
 from tacgen.mechanics.load_stepping import may_damp
+from tacgen.mechanics.numerics import Numerics, StepEnd
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
-from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import BulkIterate, Linearised, SolveState, Stepped, known
-from tacgen.mechanics.state import History, State
+from tacgen.mechanics.state import State
 
-Array = np.ndarray
-Result = tuple[Outcome, SolveState]
-MIN_ENERGY_GAIN = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
 MIN_BULK_STEP = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
 MAX_DAMPING = 2e3  # largest damping, over the stiffness at rest [-]
-ENERGY_ROUNDING = 1e-12  # relative rounding error of the energy [-]
 log = logging.getLogger(__name__)
 
 
-def begun(problem: Problem, bulk: Bulk, history: History, contact: CoupledContact, x: Array) -> BulkIterate:
-    """Newton's method at its start x (n, 3)."""
-    at, options = bulk.at(x), problem.options
-    J = bulk.at(history.x).J if options.mixed_pressure else at.J
-    return BulkIterate(x, at, J, contact, not options.keep_tangent)
-
-
-def begin_step(problem: Problem, now: SolveState) -> Result:
+def begin_step(n: Numerics, rows: list[int]) -> list[Outcome]:
     """Counts a step of the bulk; the nodes to condense to follow the contact."""
-    newton, options, condensed = known(now.newton), problem.options, problem.tangent.condensation
-    if newton.steps == options.max_newton:
-        return Outcome.failure, failed(now, newton.at.x, newton.steps)
-    now = replace(now, effort=now.effort + 1)
-    if now.effort > options.max_effort:
-        return Outcome.failure, now.failed(Failure.effort, steps=options.max_effort)
-    conn = newton.contact.contact.faces.conn
-    touching = touched(now.history, newton.contact.contact, newton.at.x)
-    if not condensed.covers(conn[touching]):
-        condensed.cover(with_neighbours(conn, touching))
-    newton = replace(newton, steps=newton.steps + 1, new=newton.new or not problem.tangent.usable)
-    return Outcome.missing if newton.new else Outcome.ready, replace(now, newton=newton)
+    going = [row for row in rows if _counted(n, row)]
+    for row, serves in zip(going, n.follow(going) if going else (), strict=True):
+        newton = n.courses[row].newton
+        newton.new = newton.new or not serves
+    missing = {row: n.courses[row].newton.new for row in going}
+    return [(Outcome.missing if missing[row] else Outcome.ready) if row in missing else Outcome.failure for row in rows]
 
 
-def factor(problem: Problem, now: SolveState) -> Result:
-    """The tangent at the iterate, with the pressures predicted."""
-    newton = known(now.newton)
-    try:
-        problem.tangent.take(newton.at, newton.J if problem.options.mixed_pressure else None)
-    except NotPositiveDefinite:
-        return Outcome.indefinite, failed(now, newton.start, 0)
-    return Outcome.ready, now
+def _counted(n: Numerics, row: int) -> bool:
+    """Counts a step; whether there may be one more."""
+    course, options = n.courses[row], n.options
+    if course.newton.steps == options.max_newton:
+        _fail(n, row)
+        return False
+    course.effort += 1
+    if course.effort > options.max_effort:
+        course.fail(Failure.effort, steps=options.max_effort)
+        return False
+    course.newton.steps += 1
+    return True
 
 
-def load(problem: Problem, now: SolveState) -> Result:
+def factor(n: Numerics, rows: list[int]) -> list[Outcome]:
+    """The tangents at the iterates, with the pressures predicted."""
+    outcomes = []
+    for row, definite in zip(rows, n.factor(rows), strict=True):
+        if not definite:
+            n.courses[row].failure = no_equilibrium(n.least_J(row, True), 0)
+        outcomes.append(Outcome.ready if definite else Outcome.indefinite)
+    return outcomes
+
+
+def load(n: Numerics, rows: list[int]) -> list[Outcome]:
     """The unbalanced forces, condensed, and the contact before its first step."""
-    newton, condensed = known(now.newton), problem.tangent.condensation
-    g = problem.tangent.unbalanced(newton.at, newton.J)
-    y = condensed.forward(g)
-    start, schur = newton.at.x[condensed.nodes], condensed.schur.damped(newton.damping)
-    quadratic = Quadratic(start, condensed.dofs, schur, condensed.load(y))
-    linear = Linearised(g, y, quadratic, _untouched(quadratic, condensed, newton.contact))
-    return Outcome.ready, replace(now, newton=replace(newton, linear=linear))
+    for row in rows:
+        n.courses[row].newton.inner_damping = n.courses[row].newton.damping
+    n.load(rows)
+    return [Outcome.ready] * len(rows)
 
 
-def _untouched(
-    quadratic: Quadratic, condensed: Condensation, contact: CoupledContact
-) -> ContactIterate[QuadraticPoint]:
-    """The contact before its first step."""
-    return contact_start(quadratic, on_condensed(condensed, contact), quadratic.start)
+def contact(n: Numerics, rows: list[int]) -> list[Outcome]:
+    """One step of the contact, or a part of one."""
+    return n.contact(rows)
 
 
-def contact(problem: Problem, now: SolveState) -> Result:
-    """One step of the contact."""
-    newton, most = known(now.newton), problem.options.max_contact
-    linear, xtol = known(newton.linear), steps_end(problem)
-    inner = contact_step(linear.quadratic, linear.inner, xtol=xtol, max_steps=most, radius=problem.edge)
-    ends = {ContactStatus.running: Outcome.more, ContactStatus.unstable: Outcome.unstable}
-    return ends.get(inner.status, Outcome.ended), replace(
-        now, newton=replace(newton, linear=replace(linear, inner=inner))
-    )
-
-
-def damp(problem: Problem, now: SolveState) -> Result:
+def damp(n: Numerics, rows: list[int]) -> list[Outcome]:
     """No step lowers the energy: with a kept tangent, a new one; with a new one, a shorter load step; in one that is
     short, more damping."""
-    newton = known(now.newton)
-    linear = known(newton.linear)
-    if not newton.new:
-        newton = replace(newton, damping=linear.damping, new=True, linear=None)
-        return Outcome.missing, replace(now, newton=newton)
-    if not may_damp(now.history, now.legs[0], problem.options):
-        return Outcome.failure, now.failed(Failure.folds)
-    if linear.damping > MAX_DAMPING:
-        return Outcome.failure, failed(now, newton.at.x, newton.steps)
-    quadratic = replace(linear.quadratic, schur=linear.quadratic.schur.more_damped())
-    inner = _untouched(quadratic, problem.tangent.condensation, newton.contact)
-    linear = replace(linear, quadratic=quadratic, inner=inner)
-    return Outcome.ready, replace(now, newton=replace(newton, linear=linear))
+    outcomes, again = [], list[int]()
+    for row in rows:
+        course, newton = n.courses[row], n.courses[row].newton
+        if not newton.new:
+            newton.damping, newton.new = newton.inner_damping, True
+            outcomes.append(Outcome.missing)
+            continue
+        if not may_damp(course.history, course.legs[0], n.options):
+            course.fail(Failure.folds)
+        elif newton.inner_damping > MAX_DAMPING:
+            _fail(n, row)
+        else:
+            newton.inner_damping = more(newton.inner_damping)
+            again.append(row)
+        outcomes.append(Outcome.failure if course.failure else Outcome.ready)
+    if again:
+        n.untouch(again)
+    return outcomes
 
 
-def search(problem: Problem, now: SolveState) -> Result:
+def search(n: Numerics, rows: list[int]) -> list[Outcome]:
     """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen.
 
     A step of the bulk that is too long turns elements inside out, mostly away from the contact, where damping does
     not help.
     """
-    newton, condensed = known(now.newton), problem.tangent.condensation
-    at, linear, bulk = newton.at, known(newton.linear), _bulk(now)
-    inner, here, schur = linear.inner, linear.quadratic.start, linear.quadratic.schur
-    contact = inner.contact
-    u = (inner.x - here)[condensed.dofs >= 0]
-    p = condensed.expand(u, linear.y)
-    before = contact.merit(here, inner.forces)
-    contact_change = contact.merit(inner.x, inner.forces) - before
-    # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
-    model = float((linear.g * p).sum() + u @ (schur.S @ u + linear.quadratic.force)) / 2 + contact_change
-    rounding = steps_end(problem) * now.history.least_force + ENERGY_ROUNDING * abs(at.energy)
-
-    def trial(part: float) -> tuple[bool, tuple[BulkPoint, float, float]]:
-        there, touch = bulk.at(at.x + part * p), here + part * p[condensed.nodes]
-        of_contact = contact_change if part == 1 else contact.merit(touch, inner.forces) - before
-        change = there.energy - at.energy + of_contact
-        gain = 1.0 if abs(change) <= rounding else change / min(part * model, -rounding)
-        return gain >= MIN_ENERGY_GAIN, (there, gain, part)
-
-    found, last = backtrack(trial, MIN_BULK_STEP)
-    if not found:
-        return Outcome.higher, now
-    assert last is not None
-    there, gain, part = last
-    if part < 1:
-        x, status = there.x[condensed.nodes], ContactStatus.stopped if inner.converged else inner.status
-        inner = replace(inner, x=x, forces=contact.evaluate(x), status=status)
-    return Outcome.ready, replace(now, newton=replace(newton, stepped=Stepped(there, part, gain, inner)))
+    part, left = 1.0, list(rows)
+    while left and part >= MIN_BULK_STEP:  # nearly all take the whole step
+        for row, lower in zip(list(left), n.lower(left, part), strict=True):
+            if lower:
+                n.courses[row].newton.part = part
+                left.remove(row)
+        part /= 2
+    return [Outcome.higher if row in left else Outcome.ready for row in rows]
 
 
-def measure(problem: Problem, now: SolveState) -> Result:
+def measure(n: Numerics, rows: list[int]) -> list[Outcome]:
     """The residual after a step: whether it is small enough, and else the damping and the tangent of the next one."""
-    newton, options = known(now.newton), problem.options
-    step, damping, at = known(newton.stepped), known(newton.linear).damping, newton.at
-    there, moved = step.there, float(np.abs(step.there.x - at.x).max())
-    J = problem.tangent.predicted(at, there) if options.mixed_pressure else there.J
-    before, residual = newton.residual, _residual(problem, now.history, step)
+    return [_measured(n.options, n.courses[row], told) for row, told in zip(rows, n.measure(rows), strict=True)]
+
+
+def _measured(options: SolverOptions, course: Course, told: StepEnd) -> Outcome:
+    newton, residual = course.newton, told.residual
+    damping, before, part = newton.inner_damping, newton.residual, newton.part
     log.debug(
-        "step %d: %s tangent, %d in contact, moved %.1e mm, part %g, gain %.2f, damping %.1e, residual %.1e",
-        newton.steps, "new" if newton.new else "kept", step.inner.steps, moved, step.part, step.gain, damping, residual,
+        "step %d: %s tangent, part %g, damping %.1e, residual %.1e",
+        newton.steps, "new" if newton.new else "kept", part, damping, residual,
     )  # fmt: skip
-    newton = replace(
-        newton, at=there, J=J, contact=newton.contact.shrunk(step.inner.contact.contact.offset), residual=residual,
-        path=(*newton.path, there.x) if damping > 0 or newton.path else (), linear=None, stepped=None,
-    )  # fmt: skip
-    end, circling = steps_end(problem), step.inner.status is ContactStatus.circling
-    still, converged, rests = moved <= end, step.inner.converged, circling and step.inner.off <= end
-    folding = in_folds(len(newton.path), now.state)
-    if settles(options, residual, folding, damping, still, converged, rests) and _covered(problem, now.history, newton):
-        found = Found.coupled(there.x, newton.contact, newton.steps, newton.path)
-        return Outcome.ended, replace(now, newton=newton, found=found)
-    rate = newton.rate
+    newton.residual, newton.folding = residual, newton.folding + (damping > 0 or newton.folding > 0)
+    converged, rests = told.converged and part == 1, told.circling and told.agrees
+    folding = in_folds(newton.folding, course.state)
+    if settles(options, residual, folding, damping, told.still, converged, rests) and told.covered:
+        course.found = True
+        return Outcome.ended
     if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one
-        rate = (2 if newton.new else 1) * residual / before
-    new = not options.keep_tangent or step.part < 1 or slow(options, residual, rate)
-    damping = next_damping(damping, step.part, circling, residual < before)
-    if damping > 0 and not may_damp(now.history, now.legs[0], options):
-        return Outcome.failure, now.failed(Failure.folds)
-    return Outcome.more, replace(now, newton=replace(newton, rate=rate, damping=damping, new=new))
+        newton.rate = (2 if newton.new else 1) * residual / before
+    newton.new = not options.keep_tangent or part < 1 or slow(options, residual, newton.rate)
+    newton.damping = next_damping(damping, part, told.circling, residual < before)
+    if newton.damping > 0 and not may_damp(course.history, course.legs[0], options):
+        course.fail(Failure.folds)
+        return Outcome.failure
+    return Outcome.more
 
 
 def in_folds(steps: int, state: State | None) -> int:
@@ -240,58 +188,7 @@ def slow(options: SolverOptions, residual: float, rate: float) -> bool:
     return rate >= 1 or bool(np.log(options.residual_tol / residual) < options.patience * np.log(rate))
 
 
-def _covered(problem: Problem, history: History, newton: BulkIterate) -> bool:
-    """Whether the indenter acts on condensed facets only."""
-    contact = newton.contact.contact
-    touching = touched(history, contact, newton.at.x)
-    return problem.tangent.condensation.covers(contact.faces.conn[touching])
-
-
-def _residual(problem: Problem, history: History, step: Stepped) -> float:
-    """2-norm of the forces at the free nodes, over the contact force [-]."""
-    nodes, inner = problem.tangent.condensation.nodes, step.inner
-    r = step.there.gradient.copy()
-    r[nodes] -= inner.contact.contact.faces.scatter(inner.forces.force, len(nodes))
-    force = max(float(inner.forces.N.sum()), history.least_force)
-    return float(np.linalg.norm(r.ravel()[problem.pattern.free])) / force
-
-
-def steps_end(problem: Problem) -> float:
-    """Motion of a node below which a step is small [mm]."""
-    return problem.options.step_tol * problem.contact.dhat
-
-
-def on_condensed(condensed: Condensation, contact: CoupledContact) -> CoupledContact:
-    """The contact on the condensed facets, with the numbers of the condensed nodes."""
-    whole = contact.contact
-    which = np.flatnonzero((condensed.local[whole.faces.conn] >= 0).all(1))
-    faces = whole.faces.only(which)
-    faces = replace(faces, conn=condensed.local[faces.conn])
-    return replace(contact, contact=replace(whole, faces=faces), anchor=contact.anchor[which])
-
-
-def touched(history: History, contact: Contact, x: Array) -> Array:
-    """The facets (f,) on which the indenter acts; if none, those on which it acted last, or the nearest."""
-    gap = contact.gap(x)
-    now = (gap < contact.dhat).any(1)
-    if now.any():
-        return np.asarray(now)
-    last = (history.normal_force > 0).any(1)
-    return np.asarray(last if last.any() else gap.min(1) <= gap.min())
-
-
-def with_neighbours(conn: Array, which: Array) -> Array:
-    """Facets (f, a) that are marked, and those that share a node with them."""
-    return np.asarray(conn[np.isin(conn, conn[which]).any(1)])
-
-
-def _bulk(now: SolveState) -> Bulk:
-    """The bulk of a load step whose contact is condensed."""
-    assert now.step is not None
-    assert isinstance(now.step.bulk, Bulk)
-    return now.step.bulk
-
-
-def failed(now: SolveState, x: Array, steps: int) -> SolveState:
-    """No equilibrium in so many steps, which ended at x (n, 3)."""
-    return replace(now, failure=no_equilibrium(_bulk(now).at(x).J, steps))
+def _fail(n: Numerics, row: int) -> None:
+    """No equilibrium in the steps so far."""
+    course = n.courses[row]
+    course.failure = no_equilibrium(n.least_J(row, False), course.newton.steps)

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from tacgen.mechanics.barrier import barrier
-from tacgen.mechanics.coupled import CoupledContact, slip, smooth
+from tacgen.mechanics.coupled import CoupledContact, smooth
+from tacgen.mechanics.measures import slip
 
 Array = np.ndarray
 
@@ -69,7 +70,7 @@ class ContactSlopes:
         return np.asarray((self.normal_force(motion, offset) * gap + N * dot(self._gradient, motion)).sum((1, 2)))
 
     def dragged(self, motion: Array, anchors: Array) -> Array:
-        """Change of the anchors after the step; `anchors` is that before it (see coupled.dragged)."""
+        """Change of the anchors after the step; `anchors` is that before it (see measures.dragged)."""
         n, length, u = self.forces.normal, np.maximum(self._length, 1e-300), self._slip
         turn, away = self.normal(motion), motion - anchors
         slip = times(self._across, away) - self._lever[..., None] * turn

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact, Gaps
 from tacgen.physics import contact as kernels
 from tacgen.physics.runtime import call
@@ -33,34 +32,6 @@ def smooth(u: Array, eps: float) -> tuple[Array, Array, Array]:
     call(kernels.slips, (u.size,), np.ascontiguousarray(u, float).ravel(), float(eps), out)
     value, slope, bend = out.T
     return value.reshape(u.shape), slope.reshape(u.shape), bend.reshape(u.shape)
-
-
-def slip(x: Array, anchor: Array, normal: Array) -> Array:
-    """Tangential displacement of points x (f, q, 3) from their anchors [mm]."""
-    u = x - anchor
-    return np.asarray(u - (u * normal).sum(-1, keepdims=True) * normal)
-
-
-def onset(before: Array, ahead: Array, gap_before: Array, gap_ahead: Array) -> Array:
-    """Positions (f, q, 3), in the indenter's frame, where points that come into contact during a load step first touch.
-
-    `before` and `ahead` are the positions at the start of the step and, predicted, at its end; the gaps there [mm] are
-    to the surface of contact. A point touches where the straight line between them meets that surface.
-    """
-    closing = gap_before - gap_ahead
-    part = np.where(gap_ahead < 0, np.clip(gap_before / np.maximum(closing, 1e-12), 0.0, 1.0), 1.0)
-    return np.asarray(before + part[..., None] * (ahead - before))
-
-
-def dragged(anchor: Array, x: Array, normal: Array, normal_force: Array, eps: float, pose: Pose) -> Array:
-    """Anchors after a load step, in the indenter's frame: moved by the slip beyond eps; a free point is its own anchor.
-
-    anchor and x (f, q, 3) are in the sensor frame.
-    """
-    u = slip(x, anchor, normal)
-    length = np.linalg.norm(u, axis=-1, keepdims=True)
-    pulled = x - u * np.minimum(1.0, eps / np.maximum(length, 1e-300))
-    return pose.local(np.where(normal_force[..., None] > 0, pulled, x))
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,7 @@
 """How a solve fails: one enum, whose values are the sentences for users."""
 
-from collections.abc import Iterable
 from enum import StrEnum
 from typing import Any
-
-import numpy as np
 
 MAX_REPORTED_J = 0.2  # J below which the message of a failure reports it [-]
 RETRY_HINT = "try less depth, less friction or a finer mesh"
@@ -56,7 +53,6 @@ class NotConverged(ArithmeticError):
         self.failure, self.data = failure, data
 
 
-def no_equilibrium(J: Iterable[np.ndarray], steps: int) -> NotConverged:
-    """The failure to find one in so many steps, which ended at these J."""
-    least = min(float(part.min()) for part in J)
-    return NotConverged(Failure.squeezed if least < MAX_REPORTED_J else Failure.newton, steps=steps, least_J=least)
+def no_equilibrium(least_J: float, steps: int) -> NotConverged:
+    """The failure to find one in so many steps, which ended at this smallest J."""
+    return NotConverged(Failure.squeezed if least_J < MAX_REPORTED_J else Failure.newton, steps=steps, least_J=least_J)

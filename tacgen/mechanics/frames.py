@@ -12,13 +12,13 @@ from functools import cache
 import numpy as np
 
 from tacgen.geometry.pose import Pose, shortest_turn
+from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.force_control import HERTZ_LINEAR_POWER, End, meet
 from tacgen.mechanics.load_stepping import at_once, to_pose
 from tacgen.mechanics.options import DEFAULT_OPTIONS, tighter
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import MAX_FORCE_SEARCH_DEPTH, Scene
-from tacgen.mechanics.solve_state import SolveState
 from tacgen.mechanics.solver import solve
 from tacgen.mechanics.state import History, State
 
@@ -32,7 +32,7 @@ class Task:
     """A solve that a path needs: its problem and its record, which the caller replaces by the solved record."""
 
     problem: Problem
-    now: SolveState
+    now: Course
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class Aim:
 
 def _reach_force(
     problem: Problem, history: History, last: Array, guess: Array, index: int, duration: float, aim: Aim
-) -> Generator[Task, None, SolveState]:
+) -> Generator[Task, None, Course]:
     """From pose `last` to the height with the force aimed at, else at pose `guess`: the last of the tasks.
 
     Every trial starts from the same history, so that rejected trials do not influence friction; all trials share one
     budget of Newton steps. Raises NotConverged: no height has that force.
     """
     target, before, floor = aim.target, aim.before, aim.floor
-    trials: list[SolveState] = []
+    trials: list[Course] = []
 
     def force_at(u: float) -> Generator[Task, None, float | None]:
         pose = guess.copy()
@@ -99,7 +99,7 @@ def _reach_force(
 def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None,
     effort: int = 0,
-) -> Generator[Task, None, SolveState]:  # fmt: skip
+) -> Generator[Task, None, Course]:  # fmt: skip
     """From pose `last` to `pose`, counting Newton steps from `effort`; first in one step from a nearby solution."""
     if near is not None and near.substeps == 1:
         task = Task(problem, at_once(history, pose, index, duration, near=near, effort=effort))

@@ -9,21 +9,20 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import full_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk
-from tacgen.mechanics.coupled import ContactForces, CoupledContact, onset
-from tacgen.mechanics.failures import Failure, NotConverged, no_equilibrium
+from tacgen.mechanics.coupled import ContactForces, CoupledContact
+from tacgen.mechanics.failures import NotConverged, no_equilibrium
+from tacgen.mechanics.measures import onset
 from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History
 from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside
 
 Array = np.ndarray
-# largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
-MAX_DEPTH_INSIDE = 0.45
 BARRIER_STIFFENING_FACTOR = 4.0  # factor of a barrier that does not suffice [-]
 
 
 @dataclass(frozen=True)
-class Found:
+class Equilibrium:
     """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
     steps, and the positions (n, 3) after each of them from the first that needed damping on."""
 
@@ -35,14 +34,9 @@ class Found:
     path: tuple[Array, ...] = ()
 
     @classmethod
-    def coupled(cls, x: Array, contact: CoupledContact, steps: int, path: tuple[Array, ...] = ()) -> "Found":
+    def coupled(cls, x: Array, contact: CoupledContact, steps: int, path: tuple[Array, ...] = ()) -> "Equilibrium":
         forces = contact.evaluate(x)
         return cls(x, contact, forces, float(forces.gap.min()), steps, path)
-
-    @property
-    def damped(self) -> int:
-        """Newton steps in a fold: those from the first that needed damping on."""
-        return len(self.path)
 
 
 @dataclass(frozen=True)
@@ -71,9 +65,9 @@ class LoadStep:
         bulk = Bulk(problem.during(history, duration), problem.folding, tuple(inert))
         return cls(problem, history, duration, contact, bulk, ahead)
 
-    def predicted(self, pose: Pose) -> "LoadStep":
+    def predicted(self) -> "LoadStep":
         """With the prediction by the problem's tangent."""
-        return replace(self, prediction=predict(self.contact, self.problem.tangent, self.history, pose))
+        return replace(self, prediction=predict(self.contact, self.problem.tangent, self.history))
 
     def anchored(self) -> "LoadStep":
         """With anchors in the sensor frame; that of a new point is where it first touches on the predicted path."""
@@ -96,15 +90,15 @@ class LoadStep:
                 return x
         return None
 
-    def solve(self, x: Array) -> Found | NotConverged:
+    def solve(self, x: Array) -> Equilibrium | NotConverged:
         """By Newton's method on all unknowns from x (n, 3)."""
         assert self.coupled is not None
         solution = full_newton.solve(self.problem, self.bulk, self.coupled, x)
         if not solution.converged:
-            return no_equilibrium(self.bulk.at(solution.x).J, solution.steps)
-        return Found.coupled(solution.x, solution.contact, solution.steps)
+            return no_equilibrium(self.bulk.least_J(solution.x), solution.steps)
+        return Equilibrium.coupled(solution.x, solution.contact, solution.steps)
 
-    def stiffened(self, solution: Found, contact: bool, folding: bool) -> "LoadStep":
+    def stiffened(self, solution: Equilibrium, contact: bool, folding: bool) -> "LoadStep":
         """With stiffer barriers of the contact or against folding after a solution."""
         bulk = self.bulk
         if folding:
@@ -115,13 +109,8 @@ class LoadStep:
             bulk=bulk,
         )
 
-    def wrong(self, solution: Found) -> NotConverged | None:
-        """The failure where the gel is far inside the indenter or has passed through it: from the middle of a thin wall
-        points may be pushed out on the far side."""
-        contact, problem, history = solution.contact.contact, self.problem, self.history
-        reach, path = contact.shape.reach, (*solution.path, solution.x)
-        if blocked_along(contact, history.pose, history.x, history.gap, path):
-            return NotConverged(Failure.snaps if solution.damped else Failure.too_far)
-        if (deep := depth_inside(contact, problem.elastic, solution.x)) > MAX_DEPTH_INSIDE * reach:
-            return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
-        return None
+    def penetration(self, solution: Equilibrium) -> tuple[float, bool]:
+        """Depth of the gel inside the indenter after a solution [mm], and whether a point has passed through it."""
+        contact, history, path = solution.contact.contact, self.history, (*solution.path, solution.x)
+        through = blocked_along(contact, history.pose, history.x, history.gap, path)
+        return depth_inside(contact, self.problem.elastic, solution.x), through

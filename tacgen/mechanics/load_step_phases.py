@@ -1,83 +1,55 @@
 """The phases of a load step before the steps of the bulk, and Newton's method on all unknowns instead of them.
 
-Each function is one kernel of the method (see phases).
+Each function is one kernel of the method (see phases): it takes the numerics and the rows of scenes that wait for it,
+and returns an outcome for each.
 """
 
-from dataclasses import replace
-
-import numpy as np
-
-from tacgen.geometry.pose import Pose
-from tacgen.mechanics.bulk_newton import begun, with_neighbours
-from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.linear_solvers import NotPositiveDefinite
-from tacgen.mechanics.load_step import LoadStep
+from tacgen.mechanics.course import Newton
+from tacgen.mechanics.failures import Failure
+from tacgen.mechanics.numerics import Numerics
 from tacgen.mechanics.phases import Outcome
-from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import SolveState, known
-
-Result = tuple[Outcome, SolveState]
 
 
-def begin(problem: Problem, now: SolveState) -> Result:
+def begin(n: Numerics, rows: list[int]) -> list[Outcome]:
     """Contact and bulk at the pose of the next load step, and whether the kept tangent serves its prediction."""
-    leg = now.legs[0]
-    pose, effort = Pose.of(leg.b), 0 if leg.budget else now.effort
-    now = replace(now, effort=effort, failure=None)
-    step = LoadStep.of(problem, now.history, pose, leg.duration)
-    now = replace(now, step=step)
-    if not problem.condensed:
-        return Outcome.not_condensed, now
-    history, tangent, contact = now.history, problem.tangent, step.contact
-    conn, near = contact.faces.conn, contact.gap(history.x) < contact.dhat
-    touching = np.asarray((near | (history.normal_force > 0)).any(1))
-    if not touching.any():
-        return Outcome.apart, now
-    covered = tangent.usable and tangent.condensation.covers(conn[touching])
-    if not covered:
-        tangent.condensation.cover(with_neighbours(conn, touching))
-    exact = not tangent.followed or tangent.exact_at is history.x
-    return Outcome.ready if covered and exact else Outcome.missing, now
+    for row in rows:
+        n.courses[row].fresh()
+    return n.place(rows)
 
 
-def renew(problem: Problem, now: SolveState) -> Result:
+def renew(n: Numerics, rows: list[int]) -> list[Outcome]:
     """The tangent at the last equilibrium, which also serves the first step: at a first guess the tangent is often
     indefinite, because of the guess's pressures."""
-    assert now.step is not None
-    try:
-        problem.tangent.take(now.step.bulk.at(now.history.x), None)
-    except NotPositiveDefinite:
-        return Outcome.indefinite, now
-    return Outcome.ready, now
+    return [Outcome.ready if definite else Outcome.indefinite for definite in n.renew(rows)]
 
 
-def foresee(problem: Problem, now: SolveState) -> Result:
+def foresee(n: Numerics, rows: list[int]) -> list[Outcome]:
     """The prediction, if the options ask for it."""
-    assert now.step is not None
-    if not problem.options.predict:
-        return Outcome.ready, now
-    return Outcome.ready, replace(now, step=now.step.predicted(Pose.of(now.legs[0].b)))
+    if n.options.predict:
+        for row, there in zip(rows, n.predict(rows), strict=True):
+            n.courses[row].predicted = there
+    return [Outcome.ready] * len(rows)
 
 
-def start(problem: Problem, now: SolveState) -> Result:
-    """Newton's method at its start: what a softer barrier found, or see LoadStep.start."""
-    step = now.step
-    assert step is not None
-    x = now.found.x if now.found else step.start(None if now.near is None else now.near.x)
-    if x is None:
-        return Outcome.failure, now.failed(Failure.too_far)
-    if step.coupled is None:
-        step = step.anchored()
-    now = replace(now, step=step, begins=x)
-    if not problem.condensed:
-        return Outcome.not_condensed, now
-    return Outcome.ready, replace(now, newton=begun(problem, step.bulk, now.history, known(step.coupled), x))
+def start(n: Numerics, rows: list[int]) -> list[Outcome]:
+    """Newton's method at its start: what a softer barrier found, else the first place that is possible."""
+    new, going = [row for row in rows if not n.courses[row].found], list(rows)
+    for row, there in zip(new, n.choose(new) if new else (), strict=True):
+        if not there:
+            n.courses[row].fail(Failure.too_far)
+            going.remove(row)
+    for row in going:
+        n.courses[row].newton = Newton(new=not n.options.keep_tangent)
+    if going:
+        n.start(going)
+    ready = Outcome.ready if n.condensed else Outcome.not_condensed
+    return [ready if row in going else Outcome.failure for row in rows]
 
 
-def whole(problem: Problem, now: SolveState) -> Result:
+def whole(n: Numerics, rows: list[int]) -> list[Outcome]:
     """Newton's method on all unknowns."""
-    assert now.step is not None
-    found = now.step.solve(known(now.begins))
-    if isinstance(found, NotConverged):
-        return Outcome.failure, replace(now, failure=found)
-    return Outcome.ended, replace(now, found=found)
+    for row in rows:
+        course = n.courses[row]
+        course.failure = n.whole(row)
+        course.found = course.failure is None
+    return [Outcome.failure if n.courses[row].failure else Outcome.ended for row in rows]

@@ -1,7 +1,6 @@
 """Load steps between frames: as short as contact and friction need, halved if a step does not converge."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -9,11 +8,12 @@ import numpy as np
 
 from tacgen.geometry.pose import Pose, along, between
 from tacgen.mechanics.admission import sharp
+from tacgen.mechanics.course import Course, Leg
 from tacgen.mechanics.failures import Failure
+from tacgen.mechanics.numerics import Numerics
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import Leg, SolveState, known
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
@@ -22,33 +22,36 @@ MAX_TUNNELLING_HALVINGS = 12  # most halvings of a load step in which the indent
 
 def to_pose(
     problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float, **how: Any
-) -> SolveState:
+) -> Course:
     """Before the first load step from pose a to pose b (4, 4) at constant speed, rotating by `turn` (3,) [rad], in
     `duration` [s].
 
-    how: other fields of SolveState; with an `effort`, all load steps share the count of Newton steps, which begins
+    how: other fields of Course; with an `effort`, all load steps share the count of Newton steps, which begins
     with it.
     """
     n = max(problem.steps(duration), steps_needed(problem, history, a, b, turn))
     poses = pairwise([a, *along(a, b, turn, n)])
     legs = tuple(Leg(start, end, turn / n, duration / n, budget="effort" not in how) for start, end in poses)
-    return SolveState(index, history, legs, **how)
+    return Course(index, history, legs, **how)
 
 
-def at_once(history: History, b: Array, index: int, duration: float = math.inf, **how: Any) -> SolveState:
+def at_once(history: History, b: Array, index: int, duration: float = math.inf, **how: Any) -> Course:
     """Before a load step, which is not halved, from `history` to pose b (4, 4) in `duration` [s]; how: as to_pose."""
     leg = Leg(b, b, np.zeros(3), duration, budget="effort" not in how)
-    return SolveState(index, history, (leg,), may_halve=False, **how)
+    return Course(index, history, (leg,), may_halve=False, **how)
 
 
-def halve(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
-    """The failed load step as two halves, unless it has been halved as often as its failure allows."""
-    if problem.condensed:
-        problem.tangent.condensation.usable = False
-    now = now.between()
-    if not (halves := halved(now.legs[0], known(now.failure).failure, problem.options)) or not now.may_halve:
-        return Outcome.failure, now
-    return Outcome.more, replace(now, legs=(*halves, *now.legs[1:]))
+def halve(n: Numerics, rows: list[int]) -> list[Outcome]:
+    """Failed load steps as two halves each, unless one has been halved as often as its failure allows."""
+    outcomes = []
+    for row in rows:
+        course = n.courses[row]
+        n.forget(row)
+        assert course.failure is not None
+        halves = halved(course.legs[0], course.failure.failure, n.options) if course.may_halve else ()
+        course.legs = (*halves, *course.legs[1:]) if halves else course.legs
+        outcomes.append(Outcome.more if halves else Outcome.failure)
+    return outcomes
 
 
 def halved(leg: Leg, failure: Failure, options: SolverOptions) -> tuple[Leg, ...]:

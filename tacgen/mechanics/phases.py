@@ -42,7 +42,7 @@ class Outcome(StrEnum):
     unstable = "unstable"  # no step of the contact lowers the energy
     higher = "higher"  # no part of the step of all nodes does
     stiffer = "stiffer"  # again from here, with a stiffer barrier
-    failure = "failure"  # `SolveState.failure` says which
+    failure = "failure"  # `Course.failure` says which
 
 
 P = Phase

@@ -11,16 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.bulk import Tangent
 from tacgen.mechanics.condensation import Condensation
+from tacgen.mechanics.measures import ahead
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
 # stiffness of the springs between sticking points and the indenter, over normal force / dhat [-]
 STICKING_SPRING_STIFFNESS = 16.0
-MIN_STEP_COSINE = 0.9  # cosine between the motions of two steps, above which the second-order prediction is used [-]
 
 
 @dataclass(frozen=True)
@@ -37,22 +36,20 @@ class Prediction:
         return x - self.first_order, self.motion
 
 
-def predict(contact: Contact, tangent: Tangent, history: History, pose: Pose) -> Prediction | None:
+def predict(contact: Contact, tangent: Tangent, history: History) -> Prediction | None:
     """To first order, or to second if the indenter continues its last motion; None if no facet in contact is condensed,
     or if the gel with its sticking points tied to the indenter is unstable."""
     touching = history.normal_force > 0
     at = contact.faces.at(history.x)
-    motion = np.where(touching[..., None], pose.world(history.pose.local(at)) - at, 0.0)
+    motion = np.where(touching[..., None], contact.pose.world(history.pose.local(at)) - at, 0.0)
     if (springs := tied(contact, tangent, history)) is None:
         return None
     first_order = history.x + springs.moved(motion)
     if history.predictor_error is None:
         return Prediction(first_order, first_order, motion)
     error, before = history.predictor_error
-    both = touching & before.any(-1)
-    along, now, then = (float((a * b)[both].sum()) for a, b in ((motion, before), (motion, motion), (before, before)))
-    part = min(along / then, 1.0) if along > MIN_STEP_COSINE * np.sqrt(now * then) else 0.0
-    return Prediction(first_order + part**2 * error, first_order, motion)
+    weight = float(ahead(motion[None], before[None], touching[None])[0])
+    return Prediction(first_order + weight * error, first_order, motion)
 
 
 @dataclass(frozen=True)

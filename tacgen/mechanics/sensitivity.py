@@ -17,11 +17,12 @@ import numpy as np
 from tacgen.fem.materials import Law
 from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk
-from tacgen.mechanics.bulk_newton import with_neighbours
 from tacgen.mechanics.contact_slopes import ContactSlopes, dot
-from tacgen.mechanics.coupled import CoupledContact, onset
+from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.exact_tangent import everywhere, free_columns, solver
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
+from tacgen.mechanics.measures import onset
+from tacgen.mechanics.one_scene import with_neighbours
 from tacgen.mechanics.predictor import STICKING_SPRING_STIFFNESS, tied
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History, State
@@ -184,7 +185,7 @@ class Sensitivity:
 
     def _trial_anchors(self, after: History, on: Array, predicted: Array) -> tuple[Array, Array]:
         """Anchors that the step's friction started from (f, q, 3) [mm], and their slopes (k, f, q, 3), relative to the
-        indenter; of new points as coupled.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
+        indenter; of new points as measures.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
         before, was, faces = self._before, self._slopes.anchor[:, on], self._contact.faces.only(on)
         start, held = before.anchor[on], (before.normal_force[on] > 0)[..., None]
         ahead = after.pose.local(faces.at(before.x if after.predicted is None else after.predicted))

@@ -1,14 +1,16 @@
-"""The driver of the method: it calls the kernel of the present phase until the frame is solved or has no solution."""
+"""The driver of the method, for any engine: it calls the kernel of the present phase until frames are solved or have no
+solution."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from tacgen.mechanics import admission, bulk_newton, load_step_phases, load_stepping
+from tacgen.mechanics.course import Course
+from tacgen.mechanics.numerics import Numerics
+from tacgen.mechanics.one_scene import OneScene
 from tacgen.mechanics.phases import FINAL_PHASES, PHASE_TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.solve_state import SolveState
 
-PHASE_KERNELS: dict[Phase, Callable[[Problem, SolveState], tuple[Outcome, SolveState]]] = {
+PHASE_KERNELS: dict[Phase, Callable[[Numerics, list[int]], list[Outcome]]] = {
     Phase.begin: load_step_phases.begin,
     Phase.renew: load_step_phases.renew,
     Phase.predict: load_step_phases.foresee,
@@ -26,16 +28,22 @@ PHASE_KERNELS: dict[Phase, Callable[[Problem, SolveState], tuple[Outcome, SolveS
 }
 
 
-def following(now: SolveState, outcome: Outcome) -> SolveState:
-    """The SolveState in the phase that follows from an outcome."""
-    return replace(now, phase=PHASE_TRANSITIONS[now.phase][outcome])
+def advance(n: Numerics, phase: Phase, rows: list[int]) -> None:
+    """Call the kernel of a phase for the scenes in rows that wait for it."""
+    for row, outcome in zip(rows, PHASE_KERNELS[phase](n, rows), strict=True):
+        n.courses[row].phase = PHASE_TRANSITIONS[phase][outcome]
 
 
-def solve(problem: Problem, now: SolveState, until: Phase | None = None) -> SolveState:
-    """Kernel after kernel until the frame is done or failed, or before the next kernel of the phase `until`."""
-    while now.phase not in FINAL_PHASES:
-        outcome, now = PHASE_KERNELS[now.phase](problem, now)
-        now = following(now, outcome)
-        if now.phase is until:
-            return now
-    return now
+def go_on(scene: OneScene, until: Phase | None = None) -> None:
+    """Kernel after kernel until a frame is done or failed, or before the next kernel of the phase `until`."""
+    (course,) = scene.courses
+    while course.phase not in FINAL_PHASES:
+        advance(scene, course.phase, [0])
+        if course.phase is until:
+            return
+
+
+def solve(problem: Problem, course: Course) -> Course:
+    """A frame on a core: its course at the end."""
+    go_on(OneScene(problem, course))
+    return course

@@ -1,25 +1,24 @@
 """The scenes of a batch: what is fixed of each, the iterates of its solve as rows of tensors, and its course.
 
-A scene has one slot. Kernels take the slots of all scenes that wait for them, read their rows and write new ones; what
-mechanics.solve_state.SolveState holds of one scene is here a row of `Tensors` and a `Course`.
+A scene has one slot. Kernels take the slots of all scenes that wait for them, read their rows and write new ones.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tacgen.geometry.analytic_sdf import Shape
+from tacgen.mechanics.course import Course
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.problem import Problem
 from tacgen.physics import facets
 from tacgen.physics.runtime import launch
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.course import Course
 from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import gathered, index_of, put
@@ -28,6 +27,7 @@ from tacgen.tensor_engine.laws import Laws
 from tacgen.tensor_engine.reduction import PADDING_PLACE
 from tacgen.tensor_engine.replay import Replays
 from tacgen.tensor_engine.shapes import Shapes
+from tacgen.tensor_engine.slot import Slot
 
 Array = np.ndarray
 FLOAT_TYPE = torch.float64
@@ -128,6 +128,7 @@ class Batch:
     topology: Topology
     options: SolverOptions
     factors: Factors
+    scenes: list[Slot]
     courses: list[Course]
     X: Tensor
     exists: Tensor
@@ -157,7 +158,7 @@ class Batch:
         factors: Factors,
         patch: Array,
         device: str = "cpu",
-    ) -> "Batch":
+    ) -> Self:
         """Scenes before their first load step; patch (k,): node numbers.
 
         All have the same options and points in a facet; see `scope.lacks` for scenes that have no place in a batch.
@@ -189,7 +190,8 @@ class Batch:
         can[patch] = True
         dhat = number([c.dhat for c in contacts])
         batch = cls(
-            topology, problems[0].options, factors, [Course(*each) for each in zip(problems, places, strict=True)],
+            topology, problems[0].options, factors, [Slot(*each) for each in zip(problems, places, strict=True)],
+            [Course(0, problem.rest(problem.contact.pose), ()) for problem in problems],
             nodes, there, used.to(device), free.to(device), hexes, folding,
             Shapes.of([c.shape for c in contacts], FLOAT_TYPE, device), number(contacts[0].faces.N),
             number(HEX_SHAPE_VALUES), number(areas), dhat,
@@ -255,7 +257,7 @@ class Batch:
 
     def sizes(self, rows: Sequence[int], reducing: bool = False) -> Sizes:
         """Sizes of a call, for which there is room afterwards; but for what it eliminates only if it is `reducing`."""
-        each = [self.courses[row] for row in rows]
+        each = [self.scenes[row] for row in rows]
         nodes, kept, fewest = (max(c.nodes for c in each), max(c.kept for c in each), min(c.nodes for c in each))
         lost = max(3 * c.nodes - c.kept for c in each)
         if self.replays.on:
@@ -298,6 +300,10 @@ class Batch:
         for mine, other in zip(old.record, new.record, strict=True):
             mine[: len(other)].copy_(other)
         self.shapes = replace(old, all=new.all)
+
+    def problem(self, row: int) -> Problem:
+        """The discretised problem of a scene."""
+        return self.scenes[row].problem
 
     def slots(self, rows: Sequence[int]) -> Tensor:
         """Numbers of slots as an index."""

@@ -1,68 +1,36 @@
-"""Newton's method on the bulk of many scenes, with contact solved on the Schur complements.
+"""Newton's method on the bulk of many scenes, with contact solved on the Schur complements; see Numerics.
 
-Each kernel does for scenes in slots `rows` of a batch what that of mechanics.bulk_newton does for one, and returns an
-outcome for each. Quantities on which the next phase depends are read from the device once a call.
+Quantities on which the next phase depends are read from the device once a call.
 """
 
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.bulk_newton import (
-    ENERGY_ROUNDING,
-    MAX_DAMPING,
-    MIN_BULK_STEP,
-    MIN_ENERGY_GAIN,
-    in_folds,
-    next_damping,
-    settles,
-    slow,
-)
-from tacgen.mechanics.condensation import more
-from tacgen.mechanics.failures import MAX_REPORTED_J, Failure, NotConverged
-from tacgen.mechanics.load_stepping import may_damp
-from tacgen.mechanics.options import SolverOptions
+from tacgen.mechanics.measures import ENERGY_ROUNDING, MIN_ENERGY_GAIN, gain, predicted_change
+from tacgen.mechanics.numerics import StepEnd
 from tacgen.mechanics.phases import Outcome
-from tacgen.mechanics.solve_state import known
 from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
-from tacgen.tensor_engine.course import Course, PartOfStep
 from tacgen.tensor_engine.elements import determinant
 from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.load_step import cover, covers, take
 from tacgen.tensor_engine.replay import Write
+from tacgen.tensor_engine.slot import PartOfStep
 
 STATUS_OUTCOMES = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
 
 
-def begin_step(b: Batch, rows: list[int]) -> list[Outcome]:
-    """Counts a step of the bulk; the nodes to condense to follow the contact."""
-    outcomes, options, going = [], b.options, list[int]()
-    for row in rows:
-        course = b.courses[row]
-        if course.newton_steps == options.max_newton:
-            fail(b, row, b.t.x[row], course.newton_steps)
-        elif course.effort + 1 > options.max_effort:
-            course.effort += 1
-            course.failure = NotConverged(Failure.effort, steps=options.max_effort)
-        else:
-            course.effort, course.newton_steps = course.effort + 1, course.newton_steps + 1
-            going.append(row)
-    if going:
-        some = b.slots(going)
-        facets = touched(b, some, b.t.x[some], b.t.offset[some])
-        cover(b, some, facets, ~covers(b, some, facets))
-    for row in rows:
-        course = b.courses[row]
-        course.new = course.new or not course.usable
-        ready = Outcome.missing if course.new else Outcome.ready
-        outcomes.append(ready if row in going else Outcome.failure)
-    return outcomes
+def follow(b: Batch, rows: list[int]) -> list[bool]:
+    """Condense to the nodes on which contact acts; which kept tangents serve there."""
+    s = b.slots(rows)
+    facets = touched(b, s, b.t.x[s], b.t.offset[s])
+    cover(b, s, facets, ~covers(b, s, facets))
+    return [b.scenes[row].usable for row in rows]
 
 
 def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
@@ -76,22 +44,15 @@ def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
     return torch.where(now.any(1, keepdim=True), now, out)
 
 
-def factor(b: Batch, rows: list[int]) -> list[Outcome]:
-    """The tangents at the iterates, with the pressures predicted."""
-    good = take(b, rows, "x", b.options.mixed_pressure)
-    for row, fine in zip(rows, good, strict=True):
-        if not fine:
-            fail(b, row, b.t.begins[row], 0)
-    return [Outcome.ready if fine else Outcome.indefinite for fine in good]
+def factor(b: Batch, rows: list[int]) -> list[bool]:
+    """Factorise the tangents at the iterates, with the pressures predicted; which are positive definite."""
+    return take(b, rows, "x", b.options.mixed_pressure)
 
 
-def load(b: Batch, rows: list[int]) -> list[Outcome]:
+def load(b: Batch, rows: list[int]) -> None:
     """The unbalanced forces, condensed, and the contact before its first step."""
     sizes = b.sizes(rows)
     b.replays(("load", sizes.nodes, b.hexes.laws.two_invariants), partial(_load, b, sizes), rows)
-    for row in rows:
-        b.courses[row].inner_damping = b.courses[row].damping
-    return [Outcome.ready] * len(rows)
 
 
 def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[None, None]:
@@ -115,22 +76,27 @@ def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
     t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_gap=zero - 1, c_steps=zero.long())
 
 
+def untouch(b: Batch, rows: list[int]) -> None:
+    """The contact before its first step."""
+    _untouched(b, b.sizes(rows), b.slots(rows))
+
+
 def contact(b: Batch, rows: list[int]) -> list[Outcome]:
     """One step of the contact, or the next part of one."""
-    courses, outcomes = {row: b.courses[row] for row in rows}, dict.fromkeys(rows, Outcome.more)
-    at = {part: [row for row, course in courses.items() if course.part_of_step is part] for part in PartOfStep}
+    scenes, outcomes = {row: b.scenes[row] for row in rows}, dict.fromkeys(rows, Outcome.more)
+    at = {part: [row for row, scene in scenes.items() if scene.part_of_step is part] for part in PartOfStep}
     if some := at[PartOfStep.REDUCE]:
         reduce(b, some)
         for row in some:
-            courses[row].part_of_step = PartOfStep.COUPLED
-    ready = {row: courses[row].reduced == courses[row].inner_damping for row in at[PartOfStep.COUPLED]}
+            scenes[row].part_of_step = PartOfStep.COUPLED
+    ready = {row: scenes[row].reduced == b.courses[row].newton.inner_damping for row in at[PartOfStep.COUPLED]}
     if some := [row for row in ready if not ready[row]]:
         _begun(b, some)
     for some, symmetric in (([row for row in ready if ready[row]], False), (at[PartOfStep.SYMMETRIC], True)):
         for row, status in zip(some, _stepped(b, some, symmetric) if some else (), strict=True):
             if status is not None:
                 outcomes[row] = STATUS_OUTCOMES.get(status, Outcome.ended)
-                courses[row].part_of_step = PartOfStep.SYMMETRIC if status == SEARCHING else PartOfStep.COUPLED
+                scenes[row].part_of_step = PartOfStep.SYMMETRIC if status == SEARCHING else PartOfStep.COUPLED
     return list(outcomes.values())
 
 
@@ -139,7 +105,7 @@ def _begun(b: Batch, rows: list[int]) -> None:
     sizes = b.sizes(rows)
     counts = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), rows, [0.0] * len(rows))
     for row, many in zip(rows, counts, strict=True):
-        b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, int(many)
+        b.scenes[row].part_of_step, b.scenes[row].kept = PartOfStep.REDUCE, int(many)
 
 
 def _stepped(b: Batch, rows: list[int], symmetric: bool) -> list[int | None]:
@@ -150,7 +116,7 @@ def _stepped(b: Batch, rows: list[int], symmetric: bool) -> list[int | None]:
     for row, (status, stale, many) in zip(rows, b.replays(key, work, rows, *damped), strict=True):
         out.append(None if stale else int(status))
         if stale:
-            b.courses[row].part_of_step, b.courses[row].kept = PartOfStep.REDUCE, int(many)
+            b.scenes[row].part_of_step, b.scenes[row].kept = PartOfStep.REDUCE, int(many)
     return out
 
 
@@ -186,43 +152,11 @@ def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tenso
     return torch.stack([after.status, stale.long(), count], 1), write
 
 
-def damp(b: Batch, rows: list[int]) -> list[Outcome]:
-    """No step lowers the energy: with kept tangents, new ones; with new ones, shorter load steps; in those that are
-    short, more damping."""
-    outcomes, again = [], []
-    for row in rows:
-        course = b.courses[row]
-        if not course.new:
-            course.damping, course.new = course.inner_damping, True
-            outcomes.append(Outcome.missing)
-        elif not may_damp(known(course.history), course.legs[0], b.options):
-            course.failure = NotConverged(Failure.folds)
-            outcomes.append(Outcome.failure)
-        elif course.inner_damping > MAX_DAMPING:
-            fail(b, row, b.t.x[row], course.newton_steps)
-            outcomes.append(Outcome.failure)
-        else:
-            course.inner_damping = more(course.inner_damping)
-            again.append(row)
-            outcomes.append(Outcome.ready)
-    if again:
-        _untouched(b, b.sizes(again), b.slots(again))
-    return outcomes
-
-
-def search(b: Batch, rows: list[int]) -> list[Outcome]:
-    """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen."""
-    part, left, laws = 1.0, rows, b.hexes.laws.two_invariants
-    for row in rows:
-        b.courses[row].part = 0.0
-    while left and part >= MIN_BULK_STEP:  # nearly all take the whole step
-        sizes, damped = b.sizes(left), damping(b, left)
-        key, work = ("search", sizes.nodes, bool(damped), laws), partial(_search, b, sizes)
-        found = dict(zip(left, b.replays(key, work, left, [part] * len(left), *damped), strict=True))
-        for row in (row for row, fine in found.items() if fine):
-            b.courses[row].part = part
-        left, part = [row for row, fine in found.items() if not fine], part / 2
-    return [Outcome.ready if b.courses[row].part > 0 else Outcome.higher for row in rows]
+def lower(b: Batch, rows: list[int], part: float) -> list[bool]:
+    """Take a part of the step of all nodes where it lowers the energy, normal forces frozen; where it does."""
+    sizes, damped = b.sizes(rows), damping(b, rows)
+    key, work = ("search", sizes.nodes, bool(damped), b.hexes.laws.two_invariants), partial(_search, b, sizes)
+    return [bool(fine) for fine in b.replays(key, work, rows, [part] * len(rows), *damped)]
 
 
 def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -> tuple[Tensor, Write]:
@@ -236,16 +170,12 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
     p = b.factors.expand(s, u, y).to(x.dtype)
     fractions = torch.stack([torch.zeros_like(part), part, torch.ones_like(part)], 1)
     before, left_energy, whole = near.merits(bulk.start, step, fractions, near.evaluate(inner)).unbind(1)
-    # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
-    condensed_gradient = bulk.times(u) + bulk.load
-    model = ((g * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + whole - before
+    model = predicted_change(g, p, u, bulk.times(u) + bulk.load) + whole - before
     rounding = step_end(b, s) * least + ENERGY_ROUNDING * energy.abs()
     fraction = part[:, None, None]
     there = x + fraction * p
     value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * step, inner)
-    total = value - energy + left_energy - before
-    share = total / torch.minimum(part * model, -rounding)
-    lower = torch.where(total.abs() <= rounding, 1.0, share) >= MIN_ENERGY_GAIN
+    lower = gain(value - energy + left_energy - before, part * model, rounding) >= MIN_ENERGY_GAIN
     left = torch.where(lower[:, None, None], left, inner)
     return lower, lambda which: t.put(s, which, stepped=there, stepped_energy=value, c_x=left)
 
@@ -255,15 +185,15 @@ def step_end(b: Batch, s: Tensor) -> Tensor:
     return b.options.step_tol * b.dhat[s]
 
 
-def measure(b: Batch, rows: list[int]) -> list[Outcome]:
-    """The residual after a step: whether it is small enough, and else the damping and the tangent of the next one."""
+def measure(b: Batch, rows: list[int]) -> list[StepEnd]:
+    """The end of the step that was taken, which is the next iterate."""
     sizes = b.sizes(rows)
-    figures = b.replays(("measure", sizes.nodes, b.hexes.laws.two_invariants), partial(_measure, b, sizes), rows)
-    return [_measured(b.options, b.courses[row], *each) for row, each in zip(rows, figures, strict=True)]
+    told = b.replays(("measure", sizes.nodes, b.hexes.laws.two_invariants), partial(_measure, b, sizes), rows)
+    return [StepEnd(residual, *map(bool, flags)) for residual, *flags in told]
 
 
 def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
-    """The end of the step, and J there as the next one predicts it. Tells figures (s, 6) for `_measured`."""
+    """The end of the step, and J there as the next one predicts it. Tells what StepEnd has (s, 6)."""
     t, options = b.t, b.options
     x, there, offset, inner, status, steps, least = gathered(
         s, t.x, t.stepped, t.c_offset, t.c_x[:, : sizes.nodes], t.c_status, t.c_steps, t.h_least
@@ -279,7 +209,8 @@ def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
     covered = covers(b, s, touched(b, s, there, offset))
     end = step_end(b, s)
     agrees = torch.where(forces.total > 0, (forces.mean_gap - offset).abs(), 0.0) <= end
-    columns = residual, moved <= end, covered, status == CONVERGED, agrees, steps
+    converged = status == CONVERGED
+    columns = residual, moved <= end, covered, converged, ~converged & (steps >= options.max_contact), agrees
     (energy,) = gathered(s, t.stepped_energy)
     told = torch.stack([part.to(residual.dtype) for part in columns], 1)
     return told, lambda which: t.put(s, which, x=there, energy=energy, J=J, offset=offset)
@@ -292,42 +223,7 @@ def _unbalanced(b: Batch, nodes: Tensor, s: Tensor, gradient: Tensor, push: Tens
     return r * (b.free & b.used[s])[..., None]
 
 
-def _measured(
-    options: SolverOptions,
-    course: Course,
-    residual: float,
-    still: float,
-    covered: float,
-    converged: float,
-    agrees: float,
-    steps: float,
-) -> Outcome:  # fmt: skip
-    """The outcome for one scene, and its next damping and tangent."""
-    damping, before = course.inner_damping, course.residual
-    course.residual, course.newton_folding = (
-        residual,
-        course.newton_folding + (damping > 0 or course.newton_folding > 0),
-    )
-    circling, whole = not converged and steps >= options.max_contact, course.part == 1
-    rests, fell = circling and bool(agrees), residual < before
-    folding = in_folds(course.newton_folding, course.state)
-    if settles(options, residual, folding, damping, bool(still), bool(converged) and whole, rests) and covered:
-        course.found = True
-        return Outcome.ended
-    if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one
-        course.rate = (2 if course.new else 1) * residual / before
-    course.new = not options.keep_tangent or course.part < 1 or slow(options, residual, course.rate)
-    course.damping = next_damping(damping, course.part, circling, fell)
-    if course.damping > 0 and not may_damp(known(course.history), course.legs[0], options):
-        course.failure = NotConverged(Failure.folds)
-        return Outcome.failure
-    return Outcome.more
-
-
-def fail(b: Batch, row: int, x: Tensor, steps: int) -> None:
-    """No equilibrium in so many steps, which ended at x (n, 3)."""
-    s = b.slots([row])
-    J = determinant(b.hexes.rows(s).deformation(x[None]))[b.hexes.weights[s] > 0]
-    least = float(J.min())
-    failure = Failure.squeezed if least < MAX_REPORTED_J else Failure.newton
-    b.courses[row].failure = NotConverged(failure, steps=steps, least_J=least)
+def least_J(b: Batch, row: int, start: bool) -> float:
+    """Smallest J at the iterate, or where Newton's method began."""
+    s, x = b.slots([row]), b.t.begins if start else b.t.x
+    return float(determinant(b.hexes.rows(s).deformation(x[s]))[b.hexes.weights[s] > 0].min())

@@ -22,15 +22,14 @@ Damping = tuple[list[float], ...]  # of each scene of a call; empty if no scene 
 
 def damping(b: Batch, rows: Sequence[int]) -> Damping:
     """The damping of each scene, for which there is the Schur complement at rest afterwards."""
-    courses = {row: b.courses[row] for row in rows}
-    new = [row for row, course in courses.items() if course.inner_damping > 0 and not course.rested]
+    each = [b.courses[row].newton.inner_damping for row in rows]
+    new = [row for row, damped in zip(rows, each, strict=True) if damped > 0 and not b.scenes[row].rested]
     if new:
         some, sizes = b.slots(new), b.sizes(new)
         K = b.hexes.rows(some).tangents(b.X[some], dtype=b.factors.dtype)[1]
         b.keep(some, S_0=b.factors.schur(K, b.t.nodes[some, : sizes.nodes], sizes.fewest)[1])
         for row in new:
-            courses[row].rested = True
-    each = [course.inner_damping for course in courses.values()]
+            b.scenes[row].rested = True
     return (each,) if any(each) else ()
 
 
@@ -68,10 +67,10 @@ def reduce(b: Batch, rows: Sequence[int]) -> None:
         damped, sizes, again = damping(b, rows), b.sizes(rows, reducing=True), []
         key, work = ("reduce", sizes.nodes, sizes.kept, sizes.lost, bool(damped)), partial(_reduce, b, sizes)
         for row, fine in zip(rows, b.replays(key, work, rows, *damped), strict=True):
-            course = b.courses[row]
-            course.reduced = course.inner_damping
-            if not fine and course.inner_damping <= MAX_DAMPING:
-                course.inner_damping = more(course.inner_damping)
+            newton = b.courses[row].newton
+            b.scenes[row].reduced = newton.inner_damping
+            if not fine and newton.inner_damping <= MAX_DAMPING:
+                newton.inner_damping = more(newton.inner_damping)
                 again.append(row)
         rows = again
 

@@ -14,12 +14,6 @@ from tacgen.physics.runtime import launch
 from tacgen.tensor_engine.shapes import Shapes
 
 
-def slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
-    """Tangential displacement (..., 3) of points from their anchors [mm]."""
-    u = x - anchor
-    return u - (u * normal).sum(-1, keepdim=True) * normal
-
-
 @dataclass(frozen=True)
 class Forces:
     """Contact at given positions: gap (s, f, q) [mm], `at` and normal (s, f, q, 3), normal force N (s, f, q) [N], force

@@ -1,8 +1,4 @@
-"""A load step of many scenes: contact at its pose, the prediction, and where Newton's method begins.
-
-Each kernel does for scenes in slots `rows` of a batch what that of mechanics.load_step does for one, and returns an
-outcome for each.
-"""
+"""A load step of many scenes: contact at its pose, the prediction, and where Newton's method begins; see Numerics."""
 
 from functools import partial
 
@@ -11,10 +7,9 @@ import torch
 from torch import Tensor
 
 from tacgen.fem.potential import Projection
-from tacgen.mechanics.failures import Failure, NotConverged
+from tacgen.mechanics.measures import ahead, onset
 from tacgen.mechanics.phases import Outcome
-from tacgen.mechanics.predictor import MIN_STEP_COSINE, STICKING_SPRING_STIFFNESS
-from tacgen.mechanics.solve_state import INITIAL_CONTRACTION
+from tacgen.mechanics.predictor import STICKING_SPRING_STIFFNESS
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import gathered
@@ -22,13 +17,10 @@ from tacgen.tensor_engine.reduction import numbered, solved, with_points
 from tacgen.tensor_engine.replay import recording
 
 
-def begin(b: Batch, rows: list[int]) -> list[Outcome]:
+def place(b: Batch, rows: list[int]) -> list[Outcome]:
     """Contact and bulk at the pose of the next load step, and whether the kept tangents serve its prediction."""
-    t, s, courses = b.t, b.slots(rows), [b.courses[row] for row in rows]
-    for course in courses:
-        course.fresh()
-        course.effort, course.failure = 0 if course.legs[0].budget else course.effort, None
-    poses = torch.as_tensor(np.array([course.legs[0].b for course in courses]), device=s.device)
+    t, s = b.t, b.slots(rows)
+    poses = torch.as_tensor(np.array([b.courses[row].legs[0].b for row in rows]), device=s.device)
     t.put(
         s, rotation=poses[:, :3, :3], position=poses[:, :3, 3], offset=t.h_offset[s], kappa=t.h_kappa[s],
         folds=torch.ones_like(t.folds[s]), motion=torch.zeros_like(t.motion[s]),
@@ -37,7 +29,7 @@ def begin(b: Batch, rows: list[int]) -> list[Outcome]:
     gap = contact.gap(t.h_x[s])
     touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)
     apart = ~touching.any(-1)
-    usable = torch.tensor([course.usable for course in courses], device=s.device)
+    usable = torch.tensor([b.scenes[row].usable for row in rows], device=s.device)
     covered = usable & covers(b, s, touching)
     cover(b, s, touching, ~apart & ~covered)
     names = {0: Outcome.missing, 1: Outcome.ready, 2: Outcome.apart}
@@ -71,8 +63,8 @@ def cover(b: Batch, s: Tensor, facets: Tensor, which: Tensor) -> None:
     )
     counts = torch.stack([marked.sum(1), (own & ~b.patch).sum(1)], 1).tolist()
     for row, (nodes, outside) in zip(s.tolist(), counts, strict=True):
-        course = b.courses[row]
-        course.usable, course.rested, course.left, course.nodes = False, False, outside > 0, nodes
+        scene = b.scenes[row]
+        scene.usable, scene.rested, scene.left, scene.nodes = False, False, outside > 0, nodes
 
 
 def _nodes_of(b: Batch, facets: Tensor) -> Tensor:
@@ -93,7 +85,7 @@ def take(b: Batch, rows: list[int], at: str, mixed: bool, projection: Projection
     else:
         out = work(b.slots(rows))[0].tolist()
     for row, fine in zip(rows, out, strict=True):
-        b.courses[row].usable, b.courses[row].reduced = bool(fine), -1.0
+        b.scenes[row].usable, b.scenes[row].reduced = bool(fine), -1.0
     if projection is not Projection.FULL and not all(out):
         bad = [k for k, fine in enumerate(out) if not fine]
         again = take(b, [rows[k] for k in bad], at, mixed, Projection(projection + 1))
@@ -113,23 +105,19 @@ def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection,
     return good, None
 
 
-def renew(b: Batch, rows: list[int]) -> list[Outcome]:
-    """The tangents at the last equilibrium."""
-    return [Outcome.ready if fine else Outcome.indefinite for fine in take(b, rows, "h_x", False)]
+def renew(b: Batch, rows: list[int]) -> list[bool]:
+    """Factorise the tangents at the last equilibria; which are positive definite."""
+    return take(b, rows, "h_x", False)
 
 
-def foresee(b: Batch, rows: list[int]) -> list[Outcome]:
+def predict(b: Batch, rows: list[int]) -> list[bool]:
     """The prediction: points that touch move with the indenter, the rest of the gel by the tangent; see
     mechanics.predictor."""
-    if b.options.predict:
-        sizes = b.sizes(rows)
-        good = b.replays(("predict", sizes.nodes), partial(_foresee, b, sizes), rows)
-        for row, fine in zip(rows, good, strict=True):
-            b.courses[row].predicted = bool(fine)
-    return [Outcome.ready] * len(rows)
+    sizes = b.sizes(rows)
+    return [bool(good) for good in b.replays(("predict", sizes.nodes), partial(_predict, b, sizes), rows)]
 
 
-def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
+def _predict(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
     """Predicts. Tells which are predicted (s,)."""
     t, x, k = b.t, b.t.h_x[s], sizes.unknowns
     contact, face = b.near(s, t.offset[s], sizes.nodes), b.face(s, t.offset[s])
@@ -150,15 +138,8 @@ def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
     good = good & (ties > 0).flatten(1).any(1)
     u = torch.where(good[:, None], u.squeeze(-1).to(x.dtype), 0.0)
     first = x + b.factors.expand(s, u, torch.zeros_like(x)).to(x.dtype)
-    before = t.h_motion[s]
-    both = (touching & before.any(-1))[..., None]
-    pairs = ((motion, before), (motion, motion), (before, before))
-    along, now, then = ((p * q * both).flatten(1).sum(1) for p, q in pairs)
-    part = torch.where(
-        along > MIN_STEP_COSINE * torch.sqrt(now * then), (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0
-    )
-    ahead, motion = first + (part**2)[:, None, None] * t.h_error[s], torch.where(good[:, None, None, None], motion, 0.0)
-    t.put(s, first_order=first, ahead=ahead, motion=motion)
+    second = first + ahead(motion, t.h_motion[s], touching)[:, None, None] * t.h_error[s]
+    t.put(s, first_order=first, ahead=second, motion=torch.where(good[:, None, None, None], motion, 0.0))
     return good, None
 
 
@@ -168,28 +149,19 @@ def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
     return ((flat - b.t.h_position[s][:, None]) @ b.t.h_rotation[s]).view(at.shape)
 
 
-def start(b: Batch, rows: list[int]) -> list[Outcome]:
-    """Newton's method at its start: what a softer barrier found, else a solution nearby, the prediction or the last
-    positions, the first of them in which nothing tunnels and no cell is inverted; and anchors of new points where they
-    first touch."""
-    laws, courses, failed = b.hexes.laws.two_invariants, [b.courses[row] for row in rows], set[int]()
-    if new := [row for row, course in zip(rows, courses, strict=True) if not course.found]:
-        predicted, near = ([float(getattr(b.courses[row], name)) for row in new] for name in ("predicted", "near"))
-        flags = (predicted, near) if any(near) else (predicted,)
-        good = b.replays(("begin", laws, len(flags)), partial(_begin, b), new, *flags)
-        failed = {row for row, fine in zip(new, good, strict=True) if not fine}
-    b.replays(("start", laws), partial(_start, b), rows)
-    for row, course in zip(rows, courses, strict=True):
-        if row in failed:
-            course.failure = NotConverged(Failure.too_far)
-        course.new, course.residual, course.rate, course.damping = (
-            not b.options.keep_tangent,
-            np.inf,
-            INITIAL_CONTRACTION,
-            0.0,
-        )
-        course.newton_steps = course.newton_folding = 0
-    return [Outcome.failure if row in failed else Outcome.ready for row in rows]
+def choose(b: Batch, rows: list[int]) -> list[bool]:
+    """The first of a solution nearby, the prediction and the last positions in which nothing tunnels and no cell is
+    inverted, and anchors of new points where they first touch; which scenes have such a place."""
+    predicted = [float(b.courses[row].predicted) for row in rows]
+    near = [float(b.courses[row].near is not None) for row in rows]
+    flags = (predicted, near) if any(near) else (predicted,)
+    good = b.replays(("begin", b.hexes.laws.two_invariants, len(flags)), partial(_begin, b), rows, *flags)
+    return [bool(fine) for fine in good]
+
+
+def start(b: Batch, rows: list[int]) -> None:
+    """Newton's method at that place, or where the solve with softer barriers ended."""
+    b.replays(("start", b.hexes.laws.two_invariants), partial(_start, b), rows)
 
 
 def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tensor, None]:
@@ -216,14 +188,10 @@ def _start(b: Batch, s: Tensor) -> tuple[None, None]:
 
 
 def _anchor(b: Batch, s: Tensor, x: Tensor) -> None:
-    """Anchors in the sensor's frame at the start of a load step predicted to end at x; see mechanics.coupled.onset."""
+    """Anchors in the sensor's frame at the start of a load step predicted to end at x."""
     t, contact = b.t, b.face(s, b.t.offset[s])
-    at, offset = contact.points(x), contact.offset[:, None, None]
-    before, ahead = t.h_anchor[s], contact.local(at)
-    gap_before, gap_ahead = t.h_gap[s] - offset, contact.gap(x) - offset
-    closing = (gap_before - gap_ahead).clamp(min=1e-12)
-    part = torch.where(gap_ahead < 0, (gap_before / closing).clamp(0.0, 1.0), 1.0)
-    touch = before + part[..., None] * (ahead - before)
+    before, offset = t.h_anchor[s], contact.offset[:, None, None]
+    touch = onset(before, contact.local(contact.points(x)), t.h_gap[s] - offset, contact.gap(x) - offset)
     t.put(s, anchor=contact.world(torch.where((t.h_N[s] > 0)[..., None], before, touch)))
 
 

@@ -14,15 +14,15 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, replay, scheduler
-from tacgen.tensor_engine.batch import INITIAL_KEPT_DOFS, Batch, room_for, width_class
+from tacgen.tensor_engine.batch import INITIAL_KEPT_DOFS, room_for, width_class
 from tacgen.tensor_engine.condensed import Condensed
-from tacgen.tensor_engine.course import PartOfStep
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
-from tacgen.tensor_engine.engine import Solved
+from tacgen.tensor_engine.engine import ManyScenes, Solved
 from tacgen.tensor_engine.grids import Embedded
 from tacgen.tensor_engine.multifrontal import Multifrontal
 from tacgen.tensor_engine.planning import Planned, pools
+from tacgen.tensor_engine.slot import PartOfStep
 
 MAX_SLOTS = 1024  # more scenes at once are hardly faster
 # A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So put off are
@@ -76,7 +76,7 @@ class ScenePool:
         topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
         factors = Condensed(Multifrontal(tree, device, dtype), self.count)
         problems, places = zip(*((scene.problem, scene.grid) for scene in first), strict=True)
-        self.batch = Batch.of(problems, places, topology, factors, pattern.patch, device)
+        self.batch = ManyScenes.of(problems, places, topology, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
         self._most, self._calls = calls, dict[int, float]()  # calls that a scene may still have
 
@@ -102,8 +102,8 @@ class ScenePool:
 
     def kind(self, slot: int) -> Kind:
         """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next."""
-        course = self.batch.courses[slot]
-        return Kind(course.part_of_step, width_class(course.nodes)) if course.phase in DENSE_PHASES else Kind()
+        scene, dense = self.batch.scenes[slot], self.batch.courses[slot].phase in DENSE_PHASES
+        return Kind(scene.part_of_step, width_class(scene.nodes)) if dense else Kind()
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -114,9 +114,9 @@ class ScenePool:
     def leave(self, slot: int) -> Solved:
         """The states of the scene in a slot, which has ended or is put off."""
         del self._frames[slot]
-        course = self.batch.courses[slot]
-        late = course.phase not in FINAL_PHASES and course.why is None
-        return Solved(course.states, f"put off after {len(course.states)} frames" if late else course.why, late)
+        scene = self.batch.scenes[slot]
+        late = self.batch.courses[slot].phase not in FINAL_PHASES and scene.why is None
+        return Solved(scene.states, f"put off after {len(scene.states)} frames" if late else scene.why, late)
 
 
 def solved(

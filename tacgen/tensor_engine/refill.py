@@ -21,7 +21,7 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
     if problem.contact.faces.areas.shape[1] != b.areas.shape[2]:
         raise ValueError("scenes of one batch have equally many contact points in a facet")
     patch = torch.nonzero(b.patch).squeeze(1).cpu().numpy()
-    one = Batch.of([problem], [place], b.topology, b.factors, patch, str(b.X.device))
+    one = type(b).of([problem], [place], b.topology, b.factors, patch, str(b.X.device))
     for name in PROBLEM_ROWS:
         getattr(b, name)[slot] = getattr(one, name)[0]
     b.free &= one.free  # bonded nodes that no scene before has had
@@ -29,7 +29,7 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
         for name in names:
             getattr(mine, name)[slot] = getattr(new, name)[0]
     b.hexes = replace(b.hexes, laws=b.hexes.laws.replaced(slot, one.hexes.laws))
-    b.courses[slot] = one.courses[0]
+    b.scenes[slot], b.courses[slot] = one.scenes[0], one.courses[0]
     for name, rows in vars(b.t).items():
         rows[slot] = b._blank(name, 1, rows.shape[1:])[0] if name in WIDE_ARRAYS else getattr(one.t, name)[0]
     b.indent(slot, one.shapes.all[0])

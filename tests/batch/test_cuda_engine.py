@@ -274,7 +274,7 @@ def test_processes_draw_on_the_gpus_in_turn(
     monkeypatch.setattr("tacgen.tensor_engine.device", fake, raising=False)
     monkeypatch.setattr(cuda_engine.os, "getpid", lambda: 7)
     monkeypatch.setattr(solution_file, "read", lambda path: known)
-    monkeypatch.setattr(pipeline, "run_scene", lambda *_, device, **how: seen.append(device))
+    monkeypatch.setattr(pipeline, "run_work", lambda work, folder, **how: seen.append(work.device))
     cuda_engine.run_scene(row, tmp_path)
     assert seen == [chosen]
 

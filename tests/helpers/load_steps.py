@@ -1,27 +1,29 @@
 """Load steps that tests watch or refuse."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 
-from tacgen.mechanics import NotConverged, Problem, solver
+from tacgen.mechanics import NotConverged, solver
+from tacgen.mechanics.course import Course, Leg
+from tacgen.mechanics.numerics import Numerics
 from tacgen.mechanics.phases import Outcome, Phase
-from tacgen.mechanics.solve_state import Leg, SolveState
 
 
 def watched(
-    monkeypatch: pytest.MonkeyPatch, refuse: Callable[[SolveState], NotConverged | None] = lambda now: None
+    monkeypatch: pytest.MonkeyPatch, refuse: Callable[[Course], NotConverged | None] = lambda now: None
 ) -> list[Leg]:
     """The load steps that will begin, in order; one for which `refuse` has a failure fails with it instead."""
     usual, done = solver.PHASE_KERNELS[Phase.start], list[Leg]()
 
-    def start(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
-        if failure := refuse(now):
-            return Outcome.failure, replace(now, failure=failure)
-        if now.found is None:
-            done.append(now.legs[0])
-        return usual(problem, now)
+    def start(n: Numerics, rows: list[int]) -> list[Outcome]:
+        (course,) = n.courses
+        if failure := refuse(course):
+            course.failure = failure
+            return [Outcome.failure]
+        if not course.found:
+            done.append(course.legs[0])
+        return usual(n, rows)
 
     monkeypatch.setitem(solver.PHASE_KERNELS, Phase.start, start)
     return done

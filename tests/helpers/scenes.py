@@ -49,7 +49,8 @@ def made(folder: Path) -> list[str]:
 
 def make(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
     """In the place of pipeline.run_scene."""
-    return resume.once(row, folder, lambda path: _make(row, path, on_event), overwrite=overwrite)
+    with resume.claimed(row, folder, overwrite=overwrite) as found:
+        return found if isinstance(found, resume.SceneResult) else _make(row, found, on_event)
 
 
 def _make(row: Row, path: Path, on_event: Any) -> resume.SceneResult:

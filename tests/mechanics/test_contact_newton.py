@@ -12,7 +12,8 @@ from tacgen.mechanics import contact_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.condensation import Schur
 from tacgen.mechanics.contact_newton import ContactIterate, ContactStatus, Quadratic, QuadraticPoint, solve_contact
-from tacgen.mechanics.coupled import CoupledContact, slip
+from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.measures import slip
 
 Array = np.ndarray
 DHAT, EPS, FRICTION, XTOL = 0.05, 0.05 / 8, 0.5, 1e-5

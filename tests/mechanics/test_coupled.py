@@ -11,7 +11,8 @@ from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf, TorusSdf
 from tacgen.geometry.pose import Pose
 from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.barrier import Contact, barrier
-from tacgen.mechanics.coupled import ContactForces, CoupledContact, slip
+from tacgen.mechanics.coupled import ContactForces, CoupledContact
+from tacgen.mechanics.measures import slip
 from tacgen.physics.contact import PARABOLA_GAP_RATIO
 
 Array = np.ndarray

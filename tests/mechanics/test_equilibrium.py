@@ -9,13 +9,14 @@ from helpers.presses import gel, poses, scene
 from tacgen.geometry.analytic_sdf import CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, solver, states
-from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.condensation import Condensation, Schur
+from tacgen.mechanics.course import Course, Leg
 from tacgen.mechanics.frames import UNIT_RISE
+from tacgen.mechanics.numerics import Numerics
+from tacgen.mechanics.one_scene import OneScene
 from tacgen.mechanics.phases import Outcome, Phase
 from tacgen.mechanics.predictor import predict
-from tacgen.mechanics.solve_state import Leg, SolveState
-from tacgen.mechanics.solver import solve
+from tacgen.mechanics.solver import go_on
 
 Array = np.ndarray
 PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.2, 0.0, -0.4), (0.4, 0.1, -0.3)]
@@ -130,17 +131,15 @@ def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
     problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), USUAL)
     *_, last = states(made, problem)
     assert last.after is not None
-    contact = problem.contact
-    assert isinstance(contact, Contact)
-    further = Pose.of(last.pose + 0.1 * UNIT_RISE)
-    assert predict(contact, problem.tangent, last.after, further) is not None
+    contact = problem.contact.moved(Pose.of(last.pose + 0.1 * UNIT_RISE), last.offset)
+    assert predict(contact, problem.tangent, last.after) is not None
     condensed = problem.tangent.condensation
     touched = np.zeros(condensed.size, bool)
     facets = contact.faces.conn[(last.normal_force > 0).any(1)]
     touched[condensed.dofs[condensed.local[facets]]] = True
     S = condensed.schur.undamped - 1e3 * np.diag(touched)
     condensed.schur = Schur(S, lambda: S)
-    assert predict(contact, problem.tangent, last.after, further) is None
+    assert predict(contact, problem.tangent, last.after) is None
 
 
 def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,9 +150,14 @@ def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypa
     *_, last = states(made, problem)
     assert last.after is not None
     lower = last.pose - 0.05 * UNIT_RISE
-    begun = solve(problem, SolveState(0, last.after, (Leg(lower, lower, np.zeros(3), np.inf),)), until=Phase.start)
-    usual, x = solve(problem, begun), solve(problem, begun, until=Phase.step).begins
-    assert x is not None
+    legs = (Leg(lower, lower, np.zeros(3), np.inf),)
+    usual, answer = Course(0, last.after, legs), Course(0, last.after, legs)
+    begun, other = OneScene(problem, usual), OneScene(problem, answer)
+    for each in (begun, other):  # both by one tangent
+        go_on(each, until=Phase.start)
+    go_on(begun, until=Phase.step)
+    x = begun.begins
+    go_on(begun)
     far = np.flatnonzero(problem.mesh.points[:, 2] == problem.mesh.points[:, 2].max())
     far = far[problem.mesh.points[far, :2].sum(1).argmax()]
     pushed = x.copy()
@@ -161,17 +165,17 @@ def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypa
     parts: list[float] = []
     search = solver.PHASE_KERNELS[Phase.search]
 
-    def seen(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
-        outcome, after = search(problem, now)
-        assert now.newton is not None
-        assert after.newton is not None
-        if (step := after.newton.stepped) is not None:
-            parts.append(step.part)
-            assert step.there.energy < now.newton.at.energy + 1e-3
-        return outcome, after
+    def seen(n: Numerics, rows: list[int]) -> list[Outcome]:
+        (outcome,) = search(n, rows)
+        assert isinstance(n, OneScene)
+        if outcome is Outcome.ready:
+            parts.append(n.courses[0].newton.part)
+            assert n.there.energy < n.at.energy + 1e-3
+        return [outcome]
 
     monkeypatch.setitem(solver.PHASE_KERNELS, Phase.search, seen)
-    answer = solve(problem, replace(begun, near=replace(last, x=pushed)))
+    answer.near = replace(last, x=pushed)
+    go_on(other)
     assert min(parts) < 1
     assert answer.state is not None
     assert answer.state.damped == 0

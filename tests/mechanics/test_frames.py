@@ -22,11 +22,12 @@ from tacgen.mechanics import (
     load_step,
     load_stepping,
     mesh,
+    one_scene,
     short_steps,
     states,
 )
+from tacgen.mechanics.course import Course
 from tacgen.mechanics.scene import Forced, Scene
-from tacgen.mechanics.solve_state import SolveState
 
 Array = np.ndarray
 USUAL = SolverOptions()
@@ -86,7 +87,7 @@ SQUEEZED = r"in 1 steps, the gel squeezed to [23]\.\d% of its volume; try less d
         ({"max_newton": 1}, {}, "Newton did not converge in 1 steps; try less depth, less friction or a"),
         ({"max_newton": 1, "mixed_pressure": False}, {(Elastic, "evaluate"): flat}, SQUEEZED),
         ({"residual_max": 1e-300}, {}, r"^residual \d\.\de-\d+ and balance \d\.\de-\d+ of the contact force, sm"),
-        ({}, {(admission, "least_jacobian"): lambda *_: -0.2},
+        ({}, {(one_scene, "least_jacobian"): lambda *_: -0.2},
          r"an element is turned inside out, to -0\.2 of its volume; try less depth"),
     ],
 )  # fmt: skip
@@ -112,7 +113,7 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
         next(states(s, soft))
 
 
-def longer(now: SolveState, than: float) -> bool:
+def longer(now: Course, than: float) -> bool:
     return bool(np.linalg.norm(now.legs[0].b[:3, 3] - now.history.pose.position) > than)
 
 
@@ -141,7 +142,7 @@ def test_a_step_that_fails_is_halved_and_its_parts_counted(
 def test_halving_ends(kind: Failure, times: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def never(now: SolveState) -> NotConverged:
+    def never(now: Course) -> NotConverged:
         tried.append(now.legs[0].b[2, 3])
         return NotConverged(kind)
 

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose, along, between, shortest_turn
 from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, mesh
+from tacgen.mechanics.course import Course, Leg
 from tacgen.mechanics.load_stepping import steps_needed
 from tacgen.mechanics.scene import Scene
-from tacgen.mechanics.solve_state import Leg, SolveState
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 
@@ -144,7 +144,7 @@ def test_a_turn_needs_short_steps_only_where_it_rubs_and_sharp_edges_shorter_one
 def recorded(monkeypatch: pytest.MonkeyPatch, most: float = np.inf) -> list[Leg]:
     """The load steps that are solved; turns of more than `most` [deg] at once are refused."""
 
-    def refuse(now: SolveState) -> NotConverged | None:
+    def refuse(now: Course) -> NotConverged | None:
         way = Rotation.from_matrix(now.legs[0].b[:3, :3] @ now.history.pose.rotation.T).magnitude()
         return NotConverged(Failure.newton, steps=1) if np.degrees(way) > most else None
 

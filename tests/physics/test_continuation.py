@@ -8,8 +8,8 @@ import pytest
 from benchmarks.reference_runs import row_of
 from tacgen.mechanics import DEFAULT_OPTIONS, Problem, SolverOptions, State, mesh, states
 from tacgen.mechanics.admission import folds_on
+from tacgen.mechanics.course import Leg
 from tacgen.mechanics.load_stepping import may_damp
-from tacgen.mechanics.solve_state import Leg
 from tacgen.recipe import scene_of_row
 
 PRESSED = {

@@ -17,8 +17,8 @@ from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.mechanics.course import Course
 from tacgen.mechanics.scene import GelDynamics
-from tacgen.mechanics.solve_state import SolveState
 from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray
@@ -82,7 +82,7 @@ def test_a_gel_let_go_springs_back_and_comes_to_rest() -> None:
 
 
 def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    def careful(now: SolveState) -> mechanics.NotConverged | None:
+    def careful(now: Course) -> mechanics.NotConverged | None:
         far = np.linalg.norm(now.legs[0].b[:3, 3] - now.history.pose.position) > 0.06
         return mechanics.NotConverged(mechanics.Failure.newton, steps=1) if far else None
 

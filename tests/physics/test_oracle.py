@@ -13,12 +13,13 @@ from tacgen import mechanics
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
-from tacgen.mechanics.load_step import LoadStep
+from tacgen.mechanics.course import Course, Leg
+from tacgen.mechanics.load_step import Equilibrium, LoadStep
 from tacgen.mechanics.mesh import GelMesh
+from tacgen.mechanics.one_scene import OneScene
 from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.scene import Scene
-from tacgen.mechanics.solve_state import Found, Leg, SolveState
-from tacgen.mechanics.solver import solve
+from tacgen.mechanics.solver import go_on
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 
@@ -118,10 +119,9 @@ def total(states: list[mechanics.State]) -> Array:
 def begun(problem: mechanics.Problem, history: History, matrix: Array) -> tuple[LoadStep, Array]:
     """The load step to a pose (4, 4), and where Newton's method starts."""
     leg, first = Leg(matrix, matrix, np.zeros(3), 0.0), Phase.step if problem.condensed else Phase.whole
-    now = solve(problem, SolveState(0, history, (leg,)), until=first)
-    assert isinstance(now.step, LoadStep)
-    assert now.begins is not None
-    return now.step, now.begins
+    scene = OneScene(problem, Course(0, history, (leg,)))
+    go_on(scene, until=first)
+    return scene.step, scene.begins
 
 
 @all_scenes
@@ -143,7 +143,7 @@ def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) 
         assert one.coupled is not None
         assert other.coupled is not None
         true = replace(other, coupled=replace(other.coupled, anchor=one.coupled.anchor)).solve(x)
-        assert isinstance(true, Found)
+        assert isinstance(true, Equilibrium)
         history, state = equilibrium(fast, history, matrix, index).reached()
         force = true.forces.force.sum((0, 1))
         size, largest = float(np.linalg.norm(force)), max(largest, float(np.linalg.norm(force)))

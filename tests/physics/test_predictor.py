@@ -12,11 +12,11 @@ from benchmarks.reference_runs import row_of
 from tacgen.geometry.analytic_sdf import CapsuleSdf
 from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics import DEFAULT_OPTIONS, Problem, SolverOptions, mesh, states
-from tacgen.mechanics.load_step import LoadStep
+from tacgen.mechanics.course import Course, Leg
+from tacgen.mechanics.one_scene import OneScene
 from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.predictor import Prediction
-from tacgen.mechanics.solve_state import Leg, SolveState
-from tacgen.mechanics.solver import solve
+from tacgen.mechanics.solver import go_on
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 
@@ -66,9 +66,9 @@ def pressed() -> tuple[Problem, History, Run]:
 def predicted(problem: Problem, history: History, pose: Pose) -> Prediction | None:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
-    now = solve(problem, SolveState(0, history, (Leg(matrix, matrix, np.zeros(3), 0.0),)), until=Phase.start)
-    assert isinstance(now.step, LoadStep)
-    return now.step.prediction
+    scene = OneScene(problem, Course(0, history, (Leg(matrix, matrix, np.zeros(3), 0.0),)))
+    go_on(scene, until=Phase.start)
+    return scene.step.prediction
 
 
 def test_points_in_contact_go_along_and_all_else_follows(pressed: tuple[Problem, History, Run]) -> None:

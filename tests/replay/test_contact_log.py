@@ -224,8 +224,7 @@ def test_half_a_pose_of_the_sensor_is_none(tmp_path: Path) -> None:
         alone(archive(tmp_path / "log.npz", **half))
 
 
-def test_the_page_has_the_recorder_of_the_example() -> None:
+def test_the_page_names_the_recorder_of_the_example() -> None:
     root = Path(__file__).parents[2]
-    recorder = (root / "examples/mujoco/recorder.py").read_text().partition("\n\n")[2]
-    assert recorder.startswith("import mujoco")
-    assert f"```python\n{recorder}```" in (root / "docs/cookbook/other_simulators.md").read_text()
+    assert (root / "examples/mujoco/recorder.py").is_file()
+    assert "`examples/mujoco/recorder.py`" in (root / "docs/cookbook/other_simulators.md").read_text()

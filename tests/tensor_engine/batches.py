@@ -13,9 +13,8 @@ from tacgen.mechanics import DEFAULT_OPTIONS, Problem, SolverOptions, mesh, stat
 from tacgen.mechanics.phases import FINAL_PHASES, Phase
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import engine
-from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.elements import Topology
-from tacgen.tensor_engine.engine import Solved
+from tacgen.tensor_engine.engine import ManyScenes, Solved
 from tacgen.tensor_engine.grids import Place
 from tensor_engine.dense import Dense
 
@@ -43,7 +42,7 @@ def problem(made: Scene, options: SolverOptions = DEFAULT_OPTIONS) -> Problem:
     return Problem.of(made, mesh.build(made.gel, (-1.5, 1.5, -1.5, 1.5), EDGE), options)
 
 
-def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT_OPTIONS) -> Batch:
+def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT_OPTIONS) -> ManyScenes:
     """Scenes on equal grids, with dense factors."""
     problems = [problem(made, options) for made in scenes]
     grid = problems[0].mesh
@@ -53,10 +52,10 @@ def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT_OPTIONS) -> 
     free[np.unique(grid.facets["bonded"])] = False
     numbers = np.arange(n), np.arange(len(grid.cells)), np.arange(len(facets))
     places = [Place(*numbers, one.mesh.points) for one in problems]
-    return Batch.of(problems, places, topology, Dense(topology.conn, free), np.unique(facets))
+    return ManyScenes.of(problems, places, topology, Dense(topology.conn, free), np.unique(facets))
 
 
-def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
+def solve(b: ManyScenes, scenes: Sequence[Scene]) -> list[Solved]:
     """The frames of all scenes, in each slot one. The kernel for which most scenes wait is called next."""
     paths = [engine.frames(b, row, one) for row, one in enumerate(scenes)]
     going = {row for row, frames in enumerate(paths) if next(frames, None) is not None}
@@ -69,7 +68,7 @@ def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
         for row in rows:
             if b.courses[row].phase in FINAL_PHASES and next(paths[row], None) is None:
                 going.discard(row)
-    return [Solved(course.states, course.why) for course in b.courses]
+    return [Solved(scene.states, scene.why) for scene in b.scenes]
 
 
 def alone(made: Scene, options: SolverOptions = DEFAULT_OPTIONS) -> list[Any]:

@@ -13,11 +13,14 @@ from helpers.presses import gel, poses, scene, thin_plate
 from tacgen.fem.materials import EXAMPLE_LAWS
 from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, SphereSdf
 from tacgen.geometry.gel import GelBody, GelLayer
-from tacgen.mechanics import DEFAULT_OPTIONS, SolverOptions, State, solver
+from tacgen.mechanics import DEFAULT_OPTIONS, SolverOptions, State
+from tacgen.mechanics import bulk_newton as newton
+from tacgen.mechanics.numerics import Numerics
 from tacgen.mechanics.phases import FINAL_PHASES, PHASE_TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import GelDynamics, Scene
+from tacgen.mechanics.solver import PHASE_KERNELS
 from tacgen.tensor_engine import bulk_newton, engine, load_step, pool
-from tacgen.tensor_engine.engine import BATCH_KERNELS, Solved
+from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.planning import Planned
 from tacgen.tensor_engine.scope import lacks
 from tensor_engine.batches import alone, batch, path, small, solve
@@ -119,7 +122,7 @@ def test_a_tangent_that_is_not_definite_is_projected_in_its_scene_alone(monkeypa
     least = [value for _, value in calls]
     assert least[0] < -1e-3
     assert least[2] > -1e-9
-    assert all(course.usable for course in b.courses)
+    assert all(scene.usable for scene in b.scenes)
 
 
 def test_layers_and_laws_may_differ_from_scene_to_scene() -> None:
@@ -181,10 +184,6 @@ def test_what_the_engine_lacks_is_said() -> None:
         assert lacks(changed) == said
 
 
-def test_every_phase_but_that_of_solvers_without_condensation_has_a_kernel() -> None:
-    assert set(BATCH_KERNELS) == set(solver.PHASE_KERNELS) - {Phase.whole}
-
-
 AT_ONCE = replace(DEFAULT_OPTIONS, sink=np.inf, slide=np.inf, slide_sharp=np.inf)
 BOX = BoxSdf(1.6, 1.6, 0.1)
 PRESS, RUB = path((0, 0, -0.3)), path((1.2, 0, -0.9))
@@ -198,7 +197,7 @@ RUNS = {  # shape, path and options; what is replaced, and by what
     "out of steps": (BALL, PRESS, replace(DEFAULT_OPTIONS, max_newton=1, halvings=1), None, "", None),
     "out of effort": (BALL, PRESS, replace(DEFAULT_OPTIONS, max_effort=1), None, "", None),
     "out of balance": (BALL, PRESS, replace(DEFAULT_OPTIONS, residual_max=1e-300, halvings=0), None, "", None),
-    "no damping": (BOX, RUB, replace(AT_ONCE, halvings=0), bulk_newton, "MAX_DAMPING", -1.0),
+    "no damping": (BOX, RUB, replace(AT_ONCE, halvings=0), newton, "MAX_DAMPING", -1.0),
     "no step lowers the energy": (BALL, PRESS, replace(DEFAULT_OPTIONS, halvings=0), bulk_newton, "MIN_ENERGY_GAIN",
     1e9),
     "too far": (BALL, PRESS, DEFAULT_OPTIONS, load_step, "blocked", lambda b, s, x: torch.ones(len(s),
@@ -218,15 +217,15 @@ def edges(name: str, patch: pytest.MonkeyPatch) -> set[tuple[Phase, Outcome]]:
     seen, advance = set(), engine.advance
 
     def watched(b: object, phase: Phase, rows: list[int]) -> None:
-        kernel = BATCH_KERNELS[phase]
+        kernel = PHASE_KERNELS[phase]
 
-        def noted(b: object, s: object) -> list[Outcome]:
-            outcomes = kernel(b, s)
+        def noted(b: Numerics, rows: list[int]) -> list[Outcome]:
+            outcomes = kernel(b, rows)
             seen.update((phase, outcome) for outcome in outcomes)
             return outcomes
 
         with pytest.MonkeyPatch.context() as inner:
-            inner.setitem(BATCH_KERNELS, phase, noted)
+            inner.setitem(PHASE_KERNELS, phase, noted)
             advance(b, phase, rows)
 
     patch.setattr(engine, "advance", watched)

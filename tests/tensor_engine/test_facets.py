@@ -54,7 +54,7 @@ def test_facets_in_numbers_of_their_own_and_sums_at_their_nodes() -> None:
     """Of scenes in other slots than their own, condensed to unlike parts of the face."""
     b = covered({0: slice(7, 8), 1: slice(6, 8), 2: slice(12, 13)})
     b.t.anchor[:], b.dhat[:] = torch.tensor(R(1).normal(size=b.t.anchor.shape)), torch.arange(3) + 1.0
-    s, nodes = b.slots([2, 0]), max(course.nodes for course in b.courses) + 3
+    s, nodes = b.slots([2, 0]), max(scene.nodes for scene in b.scenes) + 3
     one = b.near(s, b.t.offset[s], nodes)
     real = one.areas > 0
     assert real.any(2).sum(1).tolist() == [9, 9]
@@ -83,7 +83,7 @@ def test_facets_in_numbers_of_their_own_and_sums_at_their_nodes() -> None:
 @pytest.mark.parametrize(("dtype", "tol"), [(torch.float32, 1e-6), (torch.float64, 1e-13)])
 def test_stiffnesses_of_points_are_added_to_the_rows_of_their_unknowns(dtype: torch.dtype, tol: float) -> None:
     b = covered({0: slice(7, 8), 1: slice(6, 8), 2: slice(12, 13)})
-    s, nodes = b.slots([2, 0]), max(course.nodes for course in b.courses)
+    s, nodes = b.slots([2, 0]), max(scene.nodes for scene in b.scenes)
     c = b.near(s, b.t.offset[s], nodes)
     D = torch.tensor(R(3).normal(size=(*c.areas.shape, 3, 3))) * (c.areas > 0)[..., None, None]
     K = torch.tensor(R(4).normal(size=(3, 60, 60)), dtype=dtype)[:, :40, :40]
@@ -114,7 +114,7 @@ def test_what_contact_acts_on() -> None:
     b.replays = Replays(torch.device("cpu"), on=True)
     s = b.slots([3, 1, 0])
     sizes = b.sizes(s)._replace(nodes=20)  # room is wider
-    assert {course.nodes for course in b.courses} == {20}
+    assert {scene.nodes for scene in b.scenes} == {20}
     b.t.active[3, 50:54], b.t.active[1], b.t.active[0, :9] = True, True, True
     contact = b.near(s, b.t.offset[s], sizes.nodes)
     N = torch.zeros_like(contact.areas)

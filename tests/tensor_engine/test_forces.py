@@ -14,11 +14,11 @@ torch = needs("torch")
 from tacgen.geometry.analytic_sdf import CylinderSdf, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import DEFAULT_OPTIONS, NotConverged, Problem, normal_force, solver, states
+from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import Failure
 from tacgen.mechanics.frames import Task
 from tacgen.mechanics.load_stepping import at_once, to_pose
 from tacgen.mechanics.scene import Forced, Scene
-from tacgen.mechanics.solve_state import SolveState
 from tacgen.tensor_engine import engine, pool
 from tacgen.tensor_engine.engine import Solved
 from tensor_engine.batches import alone, batch, path, problem, small, solve
@@ -82,7 +82,7 @@ def test_a_trial_begins_near_another_one_is_not_halved_and_shares_its_count_of_s
 
     made = small(BALL, path((0, 0, -0.3), (0, 0, -1.2), (0, 0, -0.32)))
     options, made = replace(DEFAULT_OPTIONS, max_newton=4), forced(made, [np.nan] * 3)
-    ends: dict[str, list[SolveState]] = {"one": [], "many": []}
+    ends: dict[str, list[Course]] = {"one": [], "many": []}
 
     def noted(made: Scene, problem: Problem) -> Iterator[Task]:
         for task in trials(made, problem):

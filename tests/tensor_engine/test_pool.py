@@ -109,15 +109,15 @@ def test_no_scene_is_put_off_by_a_patient_solver(monkeypatch):
 
 @pytest.mark.parametrize("most", [1, 0])
 def test_a_pool_for_which_there_is_no_memory_has_half_as_many_slots(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
-    made, of = [], pool.Batch.of
+    made, of = [], pool.ManyScenes.of
 
-    def limited(problems: list, *args: object) -> pool.Batch:
+    def limited(problems: list, *args: object) -> pool.ManyScenes:
         made.append(len(problems))
         if len(problems) > most:
             raise torch.OutOfMemoryError("full")
         return of(problems, *args)
 
-    monkeypatch.setattr(pool.Batch, "of", limited)
+    monkeypatch.setattr(pool.ManyScenes, "of", limited)
     if most:
         assert {number: each.why for number, each in pool.solved(SCENES[:3])} == {0: None, 1: None, 2: None}
         assert made == [2, 1, 1, 1]  # one of them is refilled; the box has a pool of its own
