@@ -10,16 +10,7 @@ PER_FRAME_GROUPS = ("/frames/", "/fields/")  # groups whose datasets have short 
 SHORT_NAMES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force", "unique": "quality/unique"}
 SHORT_NAMES |= {name: f"/reference/{name}" for name in ("x_mm", "y_mm")}
 FIRST_FIELDS = (
-    "force",
-    "torque",
-    "pressure",
-    "traction",
-    "height",
-    "normals",
-    "nodal_stress",
-    "displacement",
-    "markers",
-    "rgb",
+    *("force", "torque", "pressure", "traction", "height", "normals", "nodal_stress", "displacement", "markers", "rgb"),
 )
 
 
