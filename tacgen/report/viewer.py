@@ -17,14 +17,14 @@ import numpy as np
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import indenter_text, sensor_text
+from tacgen.bundle.caption import scene_text
 from tacgen.bundle.check import UNIQUE_PATH
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.fem.elements import triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report import html_page
-from tacgen.report.bundle_figure import FORCE_COLOURS, image_size, magnification, only, scale_of
+from tacgen.report.bundle_figure import image_size, magnification, only, scale_of
 from tacgen.report.field_figure import DRAWN_FIELDS, SECTION_WIDTH_RATIO, STRESS_SECTIONS, indenter_surface, section
 from tacgen.report.layers import datasets_of, has_arrows, limits, map_of
 from tacgen.report.plane_cut import boundary
@@ -63,11 +63,11 @@ def write(paths: Sequence[Path], out: Path) -> None:
 def page(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
     """The whole page of one or two bundles with frames, with or without the gel in 3D."""
     title = escape(" | ".join(_name(bundle) for bundle in bundles))
-    return html_page.page(title, html_page.asset("viewer.css"), block(bundles, in_3d=in_3d), VIEWER_POLICY)
+    return html_page.page(title, block(bundles, in_3d=in_3d), VIEWER_POLICY)
 
 
 def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
-    """The viewer as part of a page with viewer.css: its data and its script.
+    """The viewer as part of a page: its data and its script.
 
     Two bundles share the scales of colours and arrows. Raises UserError: a mesh that cannot be drawn.
     """
@@ -87,7 +87,6 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
         "parts": parts,
         "magnified": times,
         "colours": {name: _base64(_table(name)) for name in sorted(tables)},
-        "lines": list(FORCE_COLOURS.values()),
         "bundles": [
             _about(bundle) | {"layers": _layers(bundle, scales, times), "solid": solid and solid.packed(parts)}
             for bundle, solid in zip(bundles, solids, strict=True)
@@ -140,7 +139,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
     left, top = (scale.centre[k] - size / 2 * scale.per_px[k] for k, size in enumerate((width, height)))
     return {
         "name": _name(bundle),
-        "about": f"{indenter_text(bundle)}, on {sensor_text(bundle)}",
+        "about": scene_text(bundle),
         "rejected": "" if bundle.attrs["status"] == "ok" else f"{bundle.attrs['status']}: {bundle.attrs['reason']}",
         "frames": frames.tolist(),
         "marks": marks(bundle),
