@@ -16,7 +16,8 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.geometry.pose import Pose
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
-from tacgen.report.bundle_figure import FORCE_COLOURS, image_size, scale_of, window_of
+from tacgen.report.bundle_figure import image_size, scale_of, window_of
+from tacgen.report.frame_curves import FORCE_COLOURS
 
 COLOURS = {"sticks": "#0b6fa4", "friction used": "#c2571a"}
 HEIGHT, DPI = 1.6, 100  # of a panel [inches]; pixels an inch

@@ -4,7 +4,6 @@ import json
 import textwrap
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,8 +24,6 @@ from tacgen.report.bundle_figure import (
     heading,
     image_size,
     label_x,
-    only,
-    save,
     scale_of,
     window_of,
     zoom,
@@ -61,20 +58,15 @@ STRESS_SECTIONS: tuple[Section, ...] = (
 )
 
 
-def picture(path: Path, field: str, out: Path) -> None:
-    """Draw one of DRAWN_FIELDS into `out`.
+def figure(bundle: Bundle, field: str) -> "Figure":
+    """One of DRAWN_FIELDS in up to four frames of a bundle, evenly spread over its trajectory, side by side; one colour
+    bar per row.
 
     Raises:
-        UserError: unknown field, no complete bundle, a bundle without the field, or an unknown image format.
-        OSError: `out` cannot be written.
+        UserError: unknown field, or a bundle without the field or without frames.
     """
     if field not in DRAWN_FIELDS:
         raise UserError(f"{field}: unknown field{suggest(field, DRAWN_FIELDS)}; there are: {', '.join(DRAWN_FIELDS)}")
-    save(figure(only(path), field), out)
-
-
-def figure(bundle: Bundle, field: str) -> "Figure":
-    """Up to four frames of a bundle, evenly spread over its trajectory, side by side; one colour bar per row."""
     needed, output, rows, draw, note = DRAWN_FIELDS[field]
     if missing := [path for path in needed if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")

@@ -134,9 +134,8 @@ def _scale(name: str, bundles: Sequence[Bundle]) -> dict[str, Any]:
 def _about(bundle: Bundle) -> dict[str, Any]:
     """Texts, forces and sizes of a bundle."""
     frames, segments = shown(bundle), bundle.segments
-    scale, (height, width) = scale_of(bundle), image_size(bundle)
+    scale = scale_of(bundle)
     error = force_error(bundle)
-    left, top = (scale.centre[k] - size / 2 * scale.per_px[k] for k, size in enumerate((width, height)))
     return {
         "name": _name(bundle),
         "about": scene_text(bundle),
@@ -147,7 +146,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
         "force": _numbers(bundle["/frames/force"][frames]) if "/frames/force" in bundle else None,
         "error": error and [error.text(k) for k in frames],
         "errorKind": error.kind if error else "",
-        "box": [left, top, left + width * scale.per_px[0], top + height * scale.per_px[1]],
+        "box": scale.box(*image_size(bundle)),
         "unit": scale.unit,
     }
 
