@@ -97,29 +97,30 @@ async function drawMap(side, name, k) {
   if (k !== place(side) || name !== state.layer) return; // another frame was asked for meanwhile
   const pen = sharp(side.canvas, SIZE), aspect = (y1 - y0) / (x1 - x0);
   const width = Math.min(SIZE[0] - PLOT.left - PLOT.right, (SIZE[1] - PLOT.top - PLOT.bottom) / aspect), height = width * aspect;
-  side.shown = { ...shown, width, height, scale };
+  const left = PLOT.left + (SIZE[0] - PLOT.left - PLOT.right - width) / 2;
+  side.shown = { ...shown, left, width, height, scale };
   if (!layer) return write(pen, `no ${name} in this bundle`, SIZE[0] / 2, 60);
   pen.imageSmoothingEnabled = !scale;
-  if (shown) pen.drawImage(shown.canvas, PLOT.left, PLOT.top, width, height);
+  if (shown) pen.drawImage(shown.canvas, left, PLOT.top, width, height);
   layer.arrows?.at.forEach(([x, y], i) => {
     const [u, v] = layer.arrows.by[k][i];
-    arrow(pen, PLOT.left + x * width, PLOT.top + y * height, u * width, v * width);
+    arrow(pen, left + x * width, PLOT.top + y * height, u * width, v * width);
   });
-  line(pen, tone("soft"), 1, ...[[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]].map(([x, y]) => [PLOT.left + x * width, PLOT.top + y * height]));
+  line(pen, tone("soft"), 1, ...[[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]].map(([x, y]) => [left + x * width, PLOT.top + y * height]));
   for (const x of ticks(x0, x1, 6)) {
-    const at = PLOT.left + ((x - x0) / (x1 - x0)) * width;
+    const at = left + ((x - x0) / (x1 - x0)) * width;
     line(pen, tone("ink"), 1, [at, PLOT.top + height], [at, PLOT.top + height + 4]);
     write(pen, short(x), at, PLOT.top + height + 11);
   }
   for (const y of ticks(y0, y1, 5)) {
     const at = PLOT.top + ((y - y0) / (y1 - y0)) * height;
-    line(pen, tone("ink"), 1, [PLOT.left - 4, at], [PLOT.left, at]);
-    write(pen, short(y), PLOT.left - 7, at, "right");
+    line(pen, tone("ink"), 1, [left - 4, at], [left, at]);
+    write(pen, short(y), left - 7, at, "right");
   }
   const arrows = name === "markers" ? `; arrows: motion of the markers \u00d7 ${data.magnified}` : "";
-  write(pen, `x [${side.bundle.unit}]${arrows}`, PLOT.left + width / 2, PLOT.top + height + 27);
-  write(pen, `y [${side.bundle.unit}]`, 12, PLOT.top + height / 2, "center", -Math.PI / 2);
-  if (scale) bar(pen, scale, PLOT.left + width + 8, PLOT.top, height);
+  write(pen, `x [${side.bundle.unit}]${arrows}`, left + width / 2, PLOT.top + height + 27);
+  write(pen, `y [${side.bundle.unit}]`, left - 40, PLOT.top + height / 2, "center", -Math.PI / 2);
+  if (scale) bar(pen, scale, left + width + 8, PLOT.top, height);
 }
 
 const VERTEX = `#version 300 es
@@ -194,13 +195,15 @@ class Solid {
     gl.drawElements(kind, order.length, gl.UNSIGNED_INT, 0);
   }
 
+  size() { return this.scale * state.zoom * Math.min(1, SIZE[0] / SIZE[1] / 1.5); } // a canvas is as high as 2 / size [mm]
+
   axes() { // screen x, screen y and depth of the sensor's x, y and z
     const [[c, s], [d, e]] = state.turn.map((angle) => [Math.cos(angle), Math.sin(angle)]);
     return [[c, e * s, d * s], [-s, e * c, d * c], [0, d, -e]];
   }
 
   draw(k) {
-    const { gl, told } = this, part = data.parts[state.part], axes = this.axes(), size = this.scale * state.zoom;
+    const { gl, told } = this, part = data.parts[state.part], axes = this.axes(), size = this.size();
     const wide = (size * SIZE[1]) / SIZE[0], middle = this.ends.map(([a, b]) => (a + b) / 2), cut = state.cut ? told.cuts[k].y : -1e9;
     const view = axes.flatMap(([x, y, z]) => [wide * x, size * y, 0.2 * this.scale * z, 0]);
     view.push(...[0, 1, 2].map((i) => -middle.reduce((sum, m, j) => sum + m * view[4 * j + i], 0)), 1);
@@ -234,7 +237,7 @@ function drawSolid(side, k) {
   pen.fillStyle = `${tone("card").trim()}dd`; // so that a solid that is zoomed in does not hide the bar's text
   pen.fillRect(SIZE[0] - PLOT.right, 0, PLOT.right, SIZE[1]);
   bar(pen, data.parts[state.part], SIZE[0] - 84, 20, SIZE[1] - 70);
-  const [x, y] = [46, SIZE[1] - 60], unit = (solid.scale * state.zoom * SIZE[1]) / 2; // pixels a mm
+  const [x, y] = [46, SIZE[1] - 60], unit = (solid.size() * SIZE[1]) / 2; // pixels a mm
   solid.axes().forEach(([u, v], i) => {
     line(pen, tone("ink"), 1.5, [x, y], [x + 26 * u, y - 26 * v]);
     write(pen, "xyz"[i], x + 36 * u, y - 36 * v);
@@ -250,7 +253,7 @@ const forceAt = ({ bundle: { frames: { length } } }, i) => PLOT.left + (FORCE[0]
 function drawForce(side, k) {
   const pen = sharp(side.force, FORCE), { force, frames, segments } = side.bundle, right = FORCE[0] - PLOT.right;
   const y = (value) => 18 + (FORCE[1] - 18 - 34) * (1 - (value - spread[0]) / (spread[1] - spread[0]));
-  for (const value of ticks(...spread, 4)) {
+  for (const value of ticks(...spread, Math.max(3, FORCE[1] / 60))) {
     line(pen, tone("line"), 1, [PLOT.left, y(value)], [right, y(value)]);
     write(pen, short(value), PLOT.left - 6, y(value), "right");
   }
@@ -290,7 +293,7 @@ function draw() {
 }
 
 function said(side, event) { // the value under the pointer
-  const { shown, bundle } = side, x = (event.offsetX - PLOT.left) / shown?.width, y = (event.offsetY - PLOT.top) / shown?.height;
+  const { shown, bundle } = side, x = (event.offsetX - shown?.left) / shown?.width, y = (event.offsetY - PLOT.top) / shown?.height;
   if (!(x >= 0 && x < 1 && y >= 0 && y < 1) || state.layer === "stress") return (side.said.textContent = "");
   const [x0, y0, x1, y1] = bundle.box, level = shown.levels?.[Math.floor(y * shown.canvas.height) * shown.canvas.width + Math.floor(x * shown.canvas.width)];
   const value = level === undefined ? "" : level ? `: ${short(shown.scale.low + ((level - 1) / 254) * (shown.scale.high - shown.scale.low))} (${shown.scale.label})` : ": none";
@@ -372,14 +375,15 @@ function fit() { // the sides fill the window, with the force beside the map whe
   const width = wide ? 0.66 * whole : (whole - GAP * (across - 1)) / across, above = bars.offsetHeight + (wide ? 160 : 330); // [px] of the window's height
   const aspect = Math.max(...data.bundles.map(({ box: [x0, y0, x1, y1] }) => (y1 - y0) / (x1 - x0)));
   const [beside, below] = [PLOT.left + PLOT.right, PLOT.top + PLOT.bottom], room = Math.max(260, innerHeight - above);
-  SIZE[0] = Math.floor(Math.max(LEAST, Math.min(width - AROUND, (room - below) / aspect + beside)));
+  const enough = Math.max((room - below) / aspect + beside, data.parts.length ? 1.4 * room : 0); // a solid is wide
+  SIZE[0] = Math.floor(Math.max(LEAST, Math.min(width - AROUND, enough)));
   SIZE[1] = Math.floor(Math.min(room, (SIZE[0] - beside) * aspect + below));
   FORCE[0] = wide ? Math.floor(whole - SIZE[0] - GAP - 2 * AROUND) : SIZE[0];
   for (const { stage, force, solid, box, said } of sides) {
     box.classList.toggle("wide", wide);
-    FORCE[1] = wide ? SIZE[1] + said.offsetHeight + box.querySelector(".told").offsetHeight + 8 : 170;
     Object.assign(stage.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
     for (const canvas of stage.children) Object.assign(canvas.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
+    FORCE[1] = wide ? SIZE[1] + said.offsetHeight + box.querySelector(".told").offsetHeight + 8 : 170;
     Object.assign(force.style, { width: `${FORCE[0]}px`, height: `${FORCE[1]}px` });
     solid?.resize();
   }
