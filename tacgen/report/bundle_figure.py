@@ -59,11 +59,7 @@ def figure(bundle: Bundle) -> "Figure":
     rows = rows_of(bundle)
     if rows and bundle.frames == 1:
         return side_by_side(bundle, rows).page.figure
-    shown = (
-        np.unique(np.linspace(0, max(bundle.frames - 1, 0), MAX_FIGURE_COLUMNS).round().astype(int))
-        if rows
-        else np.zeros(0)
-    )
+    shown = evenly(bundle.frames, MAX_FIGURE_COLUMNS) if rows else np.zeros(0, int)
     image, window = image_size(bundle), window_of(bundle)
     tall = PANEL_IN * image[0] / image[1]
     wide = max(len(shown) * (PANEL_IN + GAP_IN), 5.0)
@@ -72,7 +68,7 @@ def figure(bundle: Bundle) -> "Figure":
     sheet = Page(LEFT_IN + wide + RIGHT_IN, top + FORCES_IN + BELOW_IN + lift)
     for r, draw in enumerate(rows):
         y = TOP_IN + r * (tall + GAP_IN)
-        panels = [sheet.axes(LEFT_IN + c * (PANEL_IN + GAP_IN), y, PANEL_IN, tall) for c in range(len(shown))]
+        panels = sheet.row(len(shown), LEFT_IN, y, PANEL_IN, tall, GAP_IN)
         colours = draw(bundle, panels, shown, image, window)
         if colours is not None:
             sheet.colour_bar(*colours, x=LEFT_IN + len(shown) * (PANEL_IN + GAP_IN) + 0.03, y=y + 0.04, h=tall - 0.08)
@@ -86,6 +82,11 @@ def figure(bundle: Bundle) -> "Figure":
         draw_lift(sheet.axes(LEFT_IN, top + FORCES_IN + BELOW_IN, wide - GAP_IN, LIFT_IN), bundle)
     heading(sheet, bundle)
     return sheet.figure
+
+
+def evenly(frames: int, most: int) -> np.ndarray:
+    """Numbers of at most so many frames, evenly spread, with the first and the last one."""
+    return np.unique(np.linspace(0, frames - 1, most).round().astype(int))
 
 
 class SideBySide(NamedTuple):

@@ -35,8 +35,7 @@ def figure(bundle: Bundle) -> "Figure":
     sensor, pictured = bundle.sensor, "/reference/rgb" in bundle
     count = 2 + pictured
     sheet = Page(MARGIN_IN + count * (PANEL_SIZE_IN + PANEL_SPACE_IN) + LABEL_SPACE_IN, PANEL_SIZE_IN + 1.9)
-    panels = [sheet.axes(MARGIN_IN + k * (PANEL_SIZE_IN + PANEL_SPACE_IN), 0.95, PANEL_SIZE_IN, PANEL_SIZE_IN)
-              for k in range(count)]  # fmt: skip
+    panels = sheet.row(count, MARGIN_IN, 0.95, PANEL_SIZE_IN, PANEL_SIZE_IN, PANEL_SPACE_IN)
     left, top, right, bottom = view = scale_of(bundle).box(*image_size(bundle))
     if pictured:
         panels[0].imshow(bundle["/reference/rgb"], extent=(left, right, bottom, top))

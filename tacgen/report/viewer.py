@@ -24,7 +24,7 @@ from tacgen.bundle.image_file import encoded
 from tacgen.fem.elements import triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report import html_page
-from tacgen.report.bundle_figure import image_size, magnification, only, scale_of
+from tacgen.report.bundle_figure import evenly, image_size, magnification, only, scale_of
 from tacgen.report.field_figure import DRAWN_FIELDS, SECTION_WIDTH_RATIO, STRESS_SECTIONS, indenter_surface, section
 from tacgen.report.layers import datasets_of, has_arrows, limits, map_of
 from tacgen.report.plane_cut import boundary
@@ -99,8 +99,7 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
 
 def shown(bundle: Bundle) -> Array:
     """The numbers of the frames that the page shows: evenly spread, and those of `marks`."""
-    spread = np.linspace(0, bundle.frames - 1, MAX_VIEWER_FRAMES).round().astype(int)
-    return np.unique([*spread, *marks(bundle).values()])
+    return np.unique([*evenly(bundle.frames, MAX_VIEWER_FRAMES), *marks(bundle).values()])
 
 
 def marks(bundle: Bundle) -> dict[str, int]:
