@@ -17,7 +17,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import move_text
 from tacgen.bundle.scene_words import shape_text
 from tacgen.recipe import assets
-from tacgen.report.sensor_sheet import unit_of
+from tacgen.report.sensor_sheet import KEY_UNITS
 from tacgen.report.sheet import counted
 from tacgen.sensor.yaml_source import text_of
 
@@ -197,9 +197,8 @@ def spread(values: Sequence[Any]) -> str:
 
 def name_and_unit(name: str) -> tuple[str, str]:
     """The words of a key and its unit: `size x`, `mm` of size_x_mm."""
-    unit = unit_of(name)
-    said = name.removesuffix(unit.replace("/", "_per_")).strip("_") if unit else name
-    return said.replace("_", " "), unit
+    end = next((end for end in KEY_UNITS if name.endswith(end)), "")
+    return name.removesuffix(end).strip("_").replace("_", " "), KEY_UNITS.get(end, "")
 
 
 def phrase(name: str, value: Any) -> str:

@@ -96,7 +96,7 @@ def _coverage(seen: Overview) -> str:
     pairs = list(combinations(numbers.items(), 2))[:MAX_SCATTER_PLOTS]
     plots += [svg_plots.scatter(names[a], x, names[b], y, colours) for (a, x), (b, y) in pairs]
     key = _key({state: state for state in STATES if state in colours}) if pairs and len(set(colours)) > 1 else ""
-    return f"{table(('varied', 'values'), rows) if rows else ''}{_plots(plots)}{key}"
+    return f"{table(('varied', 'values'), rows) if rows else ''}{key}{_plots(plots)}"
 
 
 def _forces(scenes: Sequence[SceneOverview]) -> str:
@@ -120,7 +120,7 @@ def _forces(scenes: Sequence[SceneOverview]) -> str:
         shown += f"<h3>{escape(moves)}: {counted(len(bundles), 'scene')}</h3>{_plots(plots)}"
     left = f"; {len(rows) - MAX_MOVEMENT_ROWS} more movements are not shown" * (len(rows) > MAX_MOVEMENT_ROWS)
     told = "Force on the gel over the frames of each scene; Fx and Fy have one scale"
-    return f"<p class=soft>{told}{left}.</p>{_key(colours)}{shown}"
+    return f"<p class=soft>{told}{left}.</p>{_key(colours)}<div class=forces>{shown}</div>"
 
 
 def _plots(plots: Sequence[str]) -> str:

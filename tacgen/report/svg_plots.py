@@ -73,8 +73,8 @@ def curves(name: str, series: Iterable[tuple[str, Array]], span: tuple[float, fl
     colours, drawn = list(dict.fromkeys(colour for colour, _ in series)), []
     for colour, values in series:
         if alone := len(values) == 1:
-            middle = (LEFT + RIGHT) / 2 if frames == 1 else x.at(0)
-            at = [(middle + POINT_GAP_PX * (colours.index(colour) - (len(colours) - 1) / 2), y.at(values[0]))]
+            beside = POINT_GAP_PX * (colours.index(colour) - (len(colours) - 1) / 2)
+            at = [((LEFT + RIGHT) / 2 + beside if frames == 1 else x.at(0), y.at(values[0]))]
         else:
             at = [(x.at(k), y.at(v)) for k, v in enumerate(values)]
             drawn.append(f'<path class="line {colour}" d="M{"L".join(f"{u:.1f} {v:.1f}" for u, v in at)}"/>')

@@ -143,6 +143,7 @@ def test_indenters_are_told_in_words_and_counted() -> None:
     moves = [{"press": {"depth_mm": 0.8, "frames": 3}}, {"slide": {"x_mm": 0.5, "frames": 3}}]
     assert dataset_summary.spread([moves]) == "pressed 0.8 mm deep, slid 0.5 mm along x"
     assert dataset_summary.phrase("start.x_mm", -2.391) == "start.x -2.391 mm"
+    assert dataset_summary.phrase("youngs_modulus_mpa", 0.3) == "youngs modulus 0.3 MPa"
     assert dataset_summary.phrase("quality", {"edge_mm": 0.5, "spp": 64}) == "quality edge 0.5 mm, spp 64"
     many = [f"sensor {k}" for k in range(15)]
     assert dataset_summary.spread(many).endswith("sensor 11 (1), and 3 more")
