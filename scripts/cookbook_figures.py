@@ -16,7 +16,8 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.geometry.pose import Pose
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
-from tacgen.report.bundle_figure import FORCE_COLOURS, image_size, scale_of, window_of
+from tacgen.report.bundle_figure import image_size, scale_of, window_of
+from tacgen.report.frame_curves import FORCE_COLOURS
 
 COLOURS = {"sticks": "#0b6fa4", "friction used": "#c2571a"}
 HEIGHT, DPI = 1.6, 100  # of a panel [inches]; pixels an inch
@@ -36,8 +37,7 @@ def pairs(bundles: list[Bundle]) -> Figure:
     largest = max(bundle["/frames/pressure"].max() for bundle in bundles)
     shapes = [image_size(found[contacts[0], sensor]) for sensor in sensors]
     wide = [width / height for height, width in shapes]
-    size = HEIGHT * sum(wide) + 1.8, 2 * len(contacts) * (HEIGHT + 0.15)
-    sheet = Figure(figsize=size, layout="constrained")
+    sheet = Figure(figsize=(HEIGHT * sum(wide) + 1.8, 2 * len(contacts) * (HEIGHT + 0.15)), layout="constrained")
     grid = sheet.subplots(2 * len(contacts), len(sensors), squeeze=False, width_ratios=wide)
     for row, contact in zip(range(0, len(grid), 2), contacts, strict=True):
         for camera, map_, sensor in zip(grid[row], grid[row + 1], sensors, strict=True):

@@ -186,14 +186,42 @@ class Frames:
         """The sensor of the scene."""
         return self.bundle.sensor
 
-    def plot(self) -> "Figure":
+    @property
+    def von_mises(self) -> Array:
+        """Von Mises stress at the nodes, (N, n) [MPa]. Raises UserError: `stress` is not among the outputs."""
+        from tacgen.bundle.postprocess import von_mises
+
+        return von_mises(self["stress"])
+
+    def plot(self, field: str = "") -> "Figure":
         """A matplotlib figure of up to five frames, image or maps, and the force over all, as `tacgen show` draws it.
 
         A notebook shows it where it is the last line of a cell; elsewhere `frames.plot().savefig("press.png")`.
-        """
-        from tacgen.report.bundle_figure import figure
 
-        return figure(self.bundle)
+        Args:
+            field: one alone: camera, markers, pressure, traction, slip, height, flow or stress.
+
+        Raises:
+            UserError: unknown field, or one that is not there.
+        """
+        from tacgen.report import bundle_figure, field_figure
+
+        return field_figure.figure(self.bundle, field) if field else bundle_figure.figure(self.bundle)
+
+    def animate(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a film of the frames, as `tacgen show --animate` does; returns its path.
+
+        Args:
+            path: a .webp or .gif file, or .mp4 where ffmpeg is installed.
+
+        Raises:
+            UserError: the file exists already and `overwrite` is not set, another kind of file, or no ffmpeg.
+        """
+        from tacgen.report import animation
+
+        with output_file.written(Path(path), [self.bundle.path], overwrite=overwrite) as new:
+            animation.write(self.bundle, new)
+        return Path(path)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the bundle, one HDF5 file that `tacgen.read` and all commands read; returns its path.

@@ -128,6 +128,17 @@ def simulate(
     return accepted(read(pipeline.run_scene(row, folder.path).path), folder)
 
 
+def untouched(sensor: str | Path) -> Frames:
+    """One frame of a sensor that nothing touches: its mesh, and its picture if it has lamps.
+
+    Raises:
+        UserError: there is no such sensor, or its file is not valid.
+    """
+    outputs = ("stress", "rgb") if load_sensor(sensor).lit else ("stress",)
+    ball, start = indenters.Sphere(radius_mm=1.0), Start(clearance_mm=1.0)
+    return simulate(sensor, ball, Hold(frames=1), start=start, outputs=outputs, quality="draft", may_miss=True)
+
+
 def run(
     recipe: str | Path | Mapping[str, Any],
     folder: str | Path,

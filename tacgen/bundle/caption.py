@@ -34,8 +34,7 @@ class Change(NamedTuple):
 
 def caption(bundle: Bundle) -> str:
     """The scene in a few sentences, with its contact events if they are among the outputs."""
-    moves = ", ".join(filter(None, map(_move, bundle.recipe.get("trajectory", ()))))
-    said = [f"{_article(text := indenter_text(bundle))} {text}, on {sensor_text(bundle)}" + f": {moves}" * bool(moves)]
+    said = [scene_text(bundle)]
     if events := changes(bundle):
         text = ", ".join(f"{change.mode} from frame {change.frame}{_at(change.time)}" for change in events)
         said.append(text[0].upper() + text[1:])
@@ -43,6 +42,12 @@ def caption(bundle: Bundle) -> str:
         force = np.linalg.norm(bundle["/frames/force"], axis=1)
         said.append(f"The largest force is {force.max():.3g} N, in frame {force.argmax()}")
     return ". ".join(said) + "."
+
+
+def scene_text(bundle: Bundle) -> str:
+    """`A sphere, radius 4 mm, on digit: pressed 1 mm deep, slid 1 mm along x`"""
+    moves = ", ".join(filter(None, map(move_text, bundle.recipe.get("trajectory", ()))))
+    return f"{_article(text := indenter_text(bundle))} {text}, on {sensor_text(bundle)}" + f": {moves}" * bool(moves)
 
 
 def task(bundle: Bundle) -> str:
@@ -89,7 +94,7 @@ def _at(time: float | None) -> str:
     return "" if time is None else f" ({time:.3g} s)"
 
 
-def _move(segment: dict[str, Any]) -> str:
+def move_text(segment: dict[str, Any]) -> str:
     """A movement of a recipe in words, such as `pressed 1 mm deep`; empty for an unknown one."""
     kind, keys = next(((kind, keys) for kind, keys in segment.items() if isinstance(keys, dict)), ("", {}))
     number = {key: value for key, value in keys.items() if isinstance(value, int | float)}

@@ -21,7 +21,7 @@ class ForceError(NamedTuple):
     def text(self, frame: int) -> str:
         """`± about 0.03 N`; "" where it is not known."""
         value = float(self.newton[frame])
-        return f"\N{PLUS-MINUS SIGN} about {value:.1g} N" if np.isfinite(value) else ""
+        return f"\N{PLUS-MINUS SIGN} about {float(f'{value:.1g}'):g} N" if np.isfinite(value) else ""
 
 
 def force_error(bundle: Bundle) -> ForceError | None:

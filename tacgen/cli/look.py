@@ -38,31 +38,22 @@ def show(
     overwrite: Overwrite = False,
 ) -> None:
     """Print the contents of a bundle, or draw images, pressure, traction and height of its frames."""
-    if animate is not None:
-        if out is not None or field:
-            raise UserError("--animate: draws a film of its own; leave out --out and --field")
-        from tacgen.report import animation
+    from tacgen.report import animation, bundle_figure, dataset_summary, field_figure
 
-        with written(animate, [path], overwrite) as film:
-            animation.write(path, film)
-        tell(str(animate))
+    if animate is not None and (out is not None or field):
+        raise UserError("--animate: draws a film of its own; leave out --out and --field")
+    if field and out is None:
+        raise UserError("--field: draws a picture, and needs --out to say where")
+    if (target := animate or out) is None:
+        tell(dataset_summary.summary(path) if path.is_dir() else bundle_figure.summary(path))
         return
-    from tacgen.report import bundle_figure as showing
-    from tacgen.report import dataset_summary
-
-    if out is None:
-        if field:
-            raise UserError("--field: draws a picture, and needs --out to say where")
-        tell(dataset_summary.summary(path) if path.is_dir() else showing.summary(path))
-        return
-    with written(out, [path], overwrite) as picture:
-        if field:
-            from tacgen.report import field_figure
-
-            field_figure.picture(path, field, picture)
+    bundle = bundle_figure.only(path)
+    with written(target, [path], overwrite) as new:
+        if animate is not None:
+            animation.write(bundle, new)
         else:
-            showing.picture(path, picture)
-    tell(str(out))
+            bundle_figure.save(field_figure.figure(bundle, field) if field else bundle_figure.figure(bundle), new)
+    tell(str(target))
 
 
 def view(

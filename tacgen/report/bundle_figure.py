@@ -1,6 +1,7 @@
 """A picture of a bundle over its frames, and a few lines of text about it."""
 
 import json
+from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -14,6 +15,7 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption, indenter_text, sensor_text
 from tacgen.bundle.force_error import force_error
 from tacgen.outputs import DRAWN_MAPS
+from tacgen.report.frame_curves import draw_forces, draw_lift
 from tacgen.report.layers import has_arrows, limits, map_of
 from tacgen.report.sheet import Page, round_ticks
 
@@ -22,30 +24,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_FIGURE_COLUMNS = 5  # more would make the text unreadable on a page
-# Inches: a panel, the gap between panels, margins of the page, and the height of the force plot
-PANEL_IN, GAP_IN, LEFT_IN, RIGHT_IN, TOP_IN, ABOVE_FORCES_IN, FORCES_IN, BELOW_IN = (
-    1.4,
-    0.07,
-    0.9,
-    0.85,
-    0.85,
-    0.75,
-    1.4,
-    0.7,
-)
-SEGMENT_COLOURS = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
-SEGMENT_COLOURS |= {"close": "#e4e4e4", "lift": "#d3e5f5", "tilt": "#ece1f3", "replay": "#f4f4f4"}
-FORCE_COLOURS = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's palette
-
-
-def picture(path: Path, out: Path) -> None:
-    """Draw a bundle, or the only one of a folder, into `out`, whose suffix gives the format (png, pdf, svg).
-
-    Raises:
-        UserError: `path` is not a complete bundle, or the suffix of `out` is not an image format.
-        OSError: `out` cannot be written.
-    """
-    save(figure(only(path)), out)
+# Inches: a panel, the gap between panels, margins of the page, and the heights of the plots over frames
+PANEL_IN, GAP_IN, LEFT_IN, RIGHT_IN, TOP_IN, BELOW_IN = 1.4, 0.07, 0.9, 0.85, 0.85, 0.7
+ABOVE_FORCES_IN, FORCES_IN, LIFT_IN = 0.75, 1.4, 0.9
+# a panel, the gap between panels, the colour bar and the margin above, where those of a frame are side by side [inch]
+WIDE_PANEL_IN, WIDE_GAP_IN, BAR_IN, WIDE_TOP_IN = 2.1, 0.7, 0.6, 0.55
 
 
 def only(path: Path) -> Bundle:
@@ -68,24 +51,24 @@ def save(drawn: "Figure", out: Path) -> None:
 
 
 def figure(bundle: Bundle) -> "Figure":
-    """Up to five frames of a bundle, evenly spread over its trajectory, and its force curve.
+    """Up to five frames of a bundle, evenly spread over its trajectory, its force curve, and the lift of a grasp.
 
-    Rows whose dataset is not in the bundle are left out. Image axes: x right, y down, in mm of the untouched face.
+    Rows whose dataset is not in the bundle are left out; those of a single frame stand side by side. Image axes: x
+    right, y down, in mm of the untouched face.
     """
-    rows = [draw for wanted, draw in FIGURE_ROWS if any(p in bundle for p in wanted) and bundle.frames]
-    shown = (
-        np.unique(np.linspace(0, max(bundle.frames - 1, 0), MAX_FIGURE_COLUMNS).round().astype(int))
-        if rows
-        else np.zeros(0)
-    )
+    rows = rows_of(bundle)
+    if rows and bundle.frames == 1:
+        return side_by_side(bundle, rows).page.figure
+    shown = evenly(bundle.frames, MAX_FIGURE_COLUMNS) if rows else np.zeros(0, int)
     image, window = image_size(bundle), window_of(bundle)
     tall = PANEL_IN * image[0] / image[1]
     wide = max(len(shown) * (PANEL_IN + GAP_IN), 5.0)
-    height = (TOP_IN if rows else 0.2) + len(rows) * (tall + GAP_IN) + ABOVE_FORCES_IN + FORCES_IN + BELOW_IN
-    sheet = Page(LEFT_IN + wide + RIGHT_IN, height)
+    top = (TOP_IN if rows else 0.2) + len(rows) * (tall + GAP_IN) + ABOVE_FORCES_IN
+    lift = LIFT_IN + BELOW_IN if "/frames/grasp/object" in bundle and bundle.frames else 0.0
+    sheet = Page(LEFT_IN + wide + RIGHT_IN, top + FORCES_IN + BELOW_IN + lift)
     for r, draw in enumerate(rows):
         y = TOP_IN + r * (tall + GAP_IN)
-        panels = [sheet.axes(LEFT_IN + c * (PANEL_IN + GAP_IN), y, PANEL_IN, tall) for c in range(len(shown))]
+        panels = sheet.row(len(shown), LEFT_IN, y, PANEL_IN, tall, GAP_IN)
         colours = draw(bundle, panels, shown, image, window)
         if colours is not None:
             sheet.colour_bar(*colours, x=LEFT_IN + len(shown) * (PANEL_IN + GAP_IN) + 0.03, y=y + 0.04, h=tall - 0.08)
@@ -94,9 +77,52 @@ def figure(bundle: Bundle) -> "Figure":
                 panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
     if rows:
         label_x(panels, scale_of(bundle).unit)
-    draw_forces(sheet.axes(LEFT_IN, height - BELOW_IN - FORCES_IN, wide - GAP_IN, FORCES_IN), bundle, shown)
+    draw_forces(sheet.axes(LEFT_IN, top, wide - GAP_IN, FORCES_IN), bundle, shown)
+    if lift:
+        draw_lift(sheet.axes(LEFT_IN, top + FORCES_IN + BELOW_IN, wide - GAP_IN, LIFT_IN), bundle)
     heading(sheet, bundle)
     return sheet.figure
+
+
+def evenly(frames: int, most: int) -> np.ndarray:
+    """Numbers of at most so many frames, evenly spread, with the first and the last one."""
+    return np.unique(np.linspace(0, frames - 1, most).round().astype(int))
+
+
+class SideBySide(NamedTuple):
+    """A sheet whose panels are side by side above the force curve: for each kind of panel a stack, one a frame."""
+
+    page: Page
+    stacks: list[list["Axes"]]
+    forces: "Axes"
+
+
+def side_by_side(bundle: Bundle, rows: Sequence[Any]) -> SideBySide:
+    """Draw the panels of all frames once, one above the other, and the force curve below."""
+    image, window, frames = image_size(bundle), window_of(bundle), np.arange(bundle.frames)
+    tall = WIDE_PANEL_IN * image[0] / image[1]
+    bars = [BAR_IN * (draw is not draw_camera) for draw in rows]  # beside each panel
+    least = max(len(rows), 2) * (WIDE_PANEL_IN + WIDE_GAP_IN) - WIDE_GAP_IN + max(sum(bars), BAR_IN)
+    sheet = Page(LEFT_IN + least + 0.2, (WIDE_TOP_IN + tall if rows else 0.2) + ABOVE_FORCES_IN + FORCES_IN + BELOW_IN)
+    stacks = []
+    for c, draw in enumerate(rows):
+        x = LEFT_IN + c * (WIDE_PANEL_IN + WIDE_GAP_IN) + sum(bars[:c])
+        panels = [sheet.axes(x, WIDE_TOP_IN, WIDE_PANEL_IN, tall) for _ in frames]
+        colours = draw(bundle, panels, frames, image, window)
+        if colours is not None:
+            sheet.colour_bar(*colours, x=x + WIDE_PANEL_IN + 0.03, y=WIDE_TOP_IN, h=tall)
+        label_x(panels[:1], scale_of(bundle).unit)  # the lowest panel, always visible: its ticks serve all
+        stacks.append(panels)
+    top = sheet.height - BELOW_IN - FORCES_IN
+    forces = sheet.axes(LEFT_IN, top, sheet.width - LEFT_IN - RIGHT_IN, FORCES_IN)
+    draw_forces(forces, bundle, frames[:0])
+    heading(sheet, bundle)
+    return SideBySide(sheet, stacks, forces)
+
+
+def rows_of(bundle: Bundle, most: int | None = None) -> list[Any]:
+    """Functions that draw what the bundle has of FIGURE_ROWS, or of so many first ones."""
+    return [draw for wanted, draw in FIGURE_ROWS[:most] if any(path in bundle for path in wanted) and bundle.frames]
 
 
 def summary(path: Path) -> str:
@@ -165,6 +191,11 @@ class Scale(NamedTuple):
     centre: tuple[float, float]
     per_px: tuple[float, float]  # across, down
     unit: str
+
+    def box(self, height: int, width: int) -> tuple[float, float, float, float]:
+        """Left, upper, right and lower edge of an image of so many pixels."""
+        (x, y), (wide, tall) = self.centre, (width / 2 * self.per_px[0], height / 2 * self.per_px[1])
+        return x - wide, y - tall, x + wide, y + tall
 
     def ticks(self, low: float, high: float, length: int, axis: int) -> tuple[list[float], list[str]]:
         """Positions [px] and labels of ticks at round numbers between two pixels of axis 0 (x) or 1 of `length` px."""
@@ -308,34 +339,3 @@ def label_x(panels: list["Axes"], unit: str) -> None:
     for panel in panels:
         panel.tick_params(labelbottom=True, bottom=True)
         panel.set_xlabel(f"x [{unit}]", fontsize=8, labelpad=1)
-
-
-def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
-    """Plot the force over the frames, with the segments of the trajectory shaded and the pictured frames marked."""
-    panel.set_xlabel("frame (pictured above: triangles)" if len(shown) else "frame", fontsize=8)
-    panel.set_ylabel("force on gel [N]", fontsize=8)
-    panel.tick_params(labelsize=7, length=2)
-    panel.spines[["top", "right"]].set_visible(False)
-    start = 0
-    for kind, group in groupby(bundle.segments):
-        stop = start + len(list(group))
-        panel.axvspan(start - 0.5, stop - 0.5, color=SEGMENT_COLOURS.get(kind, "white"), linewidth=0)
-        panel.text((start + stop - 1) / 2, 1.02, kind, transform=panel.get_xaxis_transform(), fontsize=8, ha="center")
-        start = stop
-    if bundle.frames < bundle.attrs["frames_planned"]:
-        middle = (bundle.frames + bundle.attrs["frames_planned"] - 1) / 2
-        panel.text(middle, 1.02, "not reached", transform=panel.get_xaxis_transform(), fontsize=8, ha="center")
-    panel.set_xlim(-0.5, max(bundle.frames, bundle.attrs["frames_planned"]) - 0.5)
-    panel.locator_params(axis="x", integer=True, min_n_ticks=1)
-    if "/frames/force" not in bundle or not bundle.frames:
-        panel.text(0.5, 0.5, "no frames" if not bundle.frames else "no forces", transform=panel.transAxes, ha="center")
-        return
-    panel.axhline(0, color="#808080", linewidth=0.6)
-    frames = np.arange(bundle.frames)
-    for (name, colour), values in zip(FORCE_COLOURS.items(), bundle["/frames/force"].T, strict=True):
-        panel.plot(frames, values, color=colour, marker="o", markersize=2.5 if len(frames) < 80 else 0, label=name)
-    panel.plot(shown, np.zeros(len(shown)), "k^", markersize=4, transform=panel.get_xaxis_transform(), clip_on=False)
-    panel.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    largest = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax())
-    if (error := force_error(bundle)) and error.text(largest):
-        panel.set_xlabel(f"{panel.get_xlabel()}; the largest force {error.text(largest)} ({error.kind})")

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ import numpy as np
 from tacgen.base.errors import UserError
 from tacgen.bundle import check, dataset, run_status
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.caption import move_text
 from tacgen.bundle.scene_words import shape_text
 from tacgen.recipe import assets
+from tacgen.report.sensor_sheet import KEY_UNITS
 from tacgen.report.sheet import counted
 from tacgen.sensor.yaml_source import text_of
 
@@ -75,7 +78,7 @@ class Overview(run_status.Survey):
     @property
     def indenters(self) -> list[str]:
         """The different indenters: their shapes, or the files of meshes."""
-        return list(dict.fromkeys(map(_indenter, self.bundles)))
+        return list(dict.fromkeys(map(shape_name, self.bundles)))
 
     @property
     def datasets(self) -> dict[str, str]:
@@ -110,7 +113,7 @@ class Overview(run_status.Survey):
         folded = [int((~bundle[check.UNIQUE_PATH]).sum()) for bundle in marked if not bundle[check.UNIQUE_PATH].all()]
         short = [b for b in self.bundles if b.attrs["status"] == "ok" and b.frames < b.attrs["frames_planned"]]
         ways: tuple[Callable[[Bundle], Sequence[str]], ...] = (
-            lambda bundle: [_indenter(bundle)] * bundle.frames,
+            lambda bundle: [shape_name(bundle)] * bundle.frames,
             lambda bundle: bundle.segments,
         )
         shares = "; ".join(_folded(marked, names) for names in ways)
@@ -126,7 +129,7 @@ class Overview(run_status.Survey):
         return {name: _licence(name) for name in self.indenters if name in known}
 
 
-def _indenter(bundle: Bundle) -> str:
+def shape_name(bundle: Bundle) -> str:
     """The indenter's shape, or the file of a mesh."""
     told = bundle.recipe.get("indenter", {})
     return str(told.get("file", told.get("shape", "?")))
@@ -192,11 +195,29 @@ def spread(values: Sequence[Any]) -> str:
     return ("; " if any("," in value for value in count) else ", ").join(shown + more)
 
 
+def name_and_unit(name: str) -> tuple[str, str]:
+    """The words of a key and its unit: `size x`, `mm` of size_x_mm."""
+    end = next((end for end in KEY_UNITS if name.endswith(end)), "")
+    return name.removesuffix(end).strip("_").replace("_", " "), KEY_UNITS.get(end, "")
+
+
+def phrase(name: str, value: Any) -> str:
+    """A varied value with its name and unit: `friction 0.5`, `x -2.39 mm`."""
+    said, unit = name_and_unit(name)
+    return f"{said} {spread([value])} {unit}".strip()
+
+
 def _named(value: Any) -> str:
-    """A varied value as text: an indenter in words, what else has parts as JSON."""
-    if isinstance(value, dict) and "shape" in value:
-        return shape_text(value)
-    return value if isinstance(value, str) else json.dumps(value)
+    """A value as text: an indenter and movements in words, the parts of all else by their names, with units."""
+    if isinstance(value, dict):
+        return shape_text(value) if "shape" in value else move_text(value) or _joined(starmap(phrase, value.items()))
+    if isinstance(value, list):
+        return _joined(map(_named, value))
+    return value if isinstance(value, str) else f"{value:.4g}" if isinstance(value, float) else json.dumps(value)
+
+
+def _joined(parts: Iterable[str]) -> str:
+    return ", ".join(parts) or "none"
 
 
 def _plain(folder: Path, name: str) -> Overview:

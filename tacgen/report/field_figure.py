@@ -4,7 +4,6 @@ import json
 import textwrap
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,12 +20,11 @@ from tacgen.recipe.indenters import Indenter, analytic
 from tacgen.report.bundle_figure import (
     draw_camera,
     draw_map,
+    evenly,
     frame_axes,
     heading,
     image_size,
     label_x,
-    only,
-    save,
     scale_of,
     window_of,
     zoom,
@@ -42,6 +40,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 MAX_FIELD_COLUMNS, FIELD_PANEL_IN, FIELD_GAP_IN = 4, 1.85, 0.1  # panels side by side, and inches
+MIN_FIELD_WIDTH_IN = 4.4  # of all panels together, so that the heading has room [inch]
 SECTION_HEIGHT_RATIO = 0.42  # height of a section over its width
 SECTION_WIDTH_RATIO = 3.4  # width of a section over the gel's thickness
 MIN_STRESS_SCALE_MPA = 1e-6  # [MPa] of the brightest colour: rounding of a gel that nothing touches stays dark
@@ -61,41 +60,29 @@ STRESS_SECTIONS: tuple[Section, ...] = (
 )
 
 
-def picture(path: Path, field: str, out: Path) -> None:
-    """Draw one of DRAWN_FIELDS into `out`.
+def figure(bundle: Bundle, field: str) -> "Figure":
+    """One of DRAWN_FIELDS in up to four frames of a bundle, evenly spread over its trajectory, side by side; one colour
+    bar per row.
 
     Raises:
-        UserError: unknown field, no complete bundle, a bundle without the field, or an unknown image format.
-        OSError: `out` cannot be written.
+        UserError: unknown field, or a bundle without the field or without frames.
     """
     if field not in DRAWN_FIELDS:
         raise UserError(f"{field}: unknown field{suggest(field, DRAWN_FIELDS)}; there are: {', '.join(DRAWN_FIELDS)}")
-    save(figure(only(path), field), out)
-
-
-def figure(bundle: Bundle, field: str) -> "Figure":
-    """Up to four frames of a bundle, evenly spread over its trajectory, side by side; one colour bar per row."""
     needed, output, rows, draw, note = DRAWN_FIELDS[field]
     if missing := [path for path in needed if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
     if not bundle.frames:
         raise UserError(f"{bundle.path}: has no frames to show")
-    shown = np.unique(np.linspace(0, bundle.frames - 1, MAX_FIELD_COLUMNS).round().astype(int))
-    image = image_size(bundle)
-    tall = FIELD_PANEL_IN * (SECTION_HEIGHT_RATIO if rows > 1 else image[0] / image[1])
-    sheet = Page(0.9 + len(shown) * (FIELD_PANEL_IN + FIELD_GAP_IN) + 1.0, 0.85 + rows * (tall + FIELD_GAP_IN) + 0.9)
-    grid = [
-        [
-            sheet.axes(
-                0.9 + c * (FIELD_PANEL_IN + FIELD_GAP_IN), 0.85 + r * (tall + FIELD_GAP_IN), FIELD_PANEL_IN, tall
-            )
-            for c in range(len(shown))
-        ]
-        for r in range(rows)
-    ]
-    for r, (drawn, label, ticks) in enumerate(draw(bundle, grid, shown, image)):
-        x, y = 0.9 + len(shown) * (FIELD_PANEL_IN + FIELD_GAP_IN) + 0.03, 0.9 + r * (tall + FIELD_GAP_IN)
-        bar = sheet.colour_bar(drawn, label, x=x, y=y, h=tall - 0.1)
+    shown, image = evenly(bundle.frames, MAX_FIELD_COLUMNS), image_size(bundle)
+    wide = max(FIELD_PANEL_IN, MIN_FIELD_WIDTH_IN / len(shown) - FIELD_GAP_IN)
+    tall = wide * (SECTION_HEIGHT_RATIO if rows > 1 else image[0] / image[1])
+    right = 0.9 + len(shown) * (wide + FIELD_GAP_IN)
+    sheet = Page(right + 1.0, 0.85 + rows * (tall + FIELD_GAP_IN) + 0.9)
+    tops = [0.85 + r * (tall + FIELD_GAP_IN) for r in range(rows)]
+    grid = [sheet.row(len(shown), 0.9, y, wide, tall, FIELD_GAP_IN) for y in tops]
+    for y, (drawn, label, ticks) in zip(tops, draw(bundle, grid, shown, image), strict=False):
+        bar = sheet.colour_bar(drawn, label, x=right + 0.03, y=y + 0.05, h=tall - 0.1)
         if ticks:
             bar.set_yticks(list(ticks), list(ticks.values()))
     for panel, k in zip(grid[0], shown, strict=True):
@@ -103,7 +90,8 @@ def figure(bundle: Bundle, field: str) -> "Figure":
     if rows == 1:
         label_x(grid[0], scale_of(bundle).unit)
     wrapped = textwrap.fill(note, int(14 * sheet.width))  # letters of this size an inch
-    sheet.figure.text(0.5, 0.1 / sheet.height, wrapped, ha="center", va="bottom", fontsize=8)
+    above = 0.28 if draw is _camera else 0.1  # a line of `draw_camera`
+    sheet.figure.text(0.5, above / sheet.height, wrapped, ha="center", va="bottom", fontsize=8)
     heading(sheet, bundle)
     return sheet.figure
 

@@ -1,29 +1,27 @@
-"""A self-contained HTML page about a dataset: coverage, forces, failures by cause, seconds by stage, images."""
+"""A self-contained HTML page about a dataset: coverage, forces, scenes with filters, seconds by stage."""
 
-import base64
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.force_error import force_error
-from tacgen.bundle.image_file import encoded
-from tacgen.report import dataset_summary, html_page, scene_pages, viewer
-from tacgen.report.dataset_summary import Overview, SceneOverview
-from tacgen.report.sheet import counted, round_ticks, short
+from tacgen.report import dataset_summary, html_page, scene_pages, svg_plots, viewer
+from tacgen.report.dataset_summary import Overview, SceneOverview, shape_name
+from tacgen.report.html_page import table
+from tacgen.report.scene_pages import movement
+from tacgen.report.sheet import counted, short
 
 MAX_REPORT_PICTURES = 48
-PICTURE_WIDTH_PX = 160  # [px]
 MAX_SCATTER_PLOTS = 15  # scatter plots of two varied numbers
-STATE_COLOURS = {"ok": "#0072b2", "rejected": "#e69f00", "failed": "#d55e00", "damaged": "#cc79a7"}
-OTHER_COLOUR = "#999999"  # of scenes at work or waiting
+MAX_MOVEMENT_ROWS = 8  # rows of force curves
+MAX_SHAPE_COLOURS = 8  # shapes with a colour of their own in the curves: c0 to c7 of page.css
+STATES = ("ok", "rejected", "failed", "damaged")  # with a colour of page.css
 
 
 def write(folder: Path, out: Path, target: Path | None = None) -> Path:
@@ -32,7 +30,7 @@ def write(folder: Path, out: Path, target: Path | None = None) -> Path:
     Raises UserError if `folder` holds no scenes.
     """
     seen = dataset_summary.look(folder)
-    bundles = [scene.bundle for scene in pictured(seen) if scene.bundle is not None]
+    bundles = [scene.bundle for scene in pictured(seen.scenes) if scene.bundle is not None]
     links = scene_pages.write_pages(bundles, target or out, in_3d=False)
     output_file.add(out, output_file.signed(page(seen, links)))
     return out
@@ -41,19 +39,20 @@ def write(folder: Path, out: Path, target: Path | None = None) -> Path:
 def page(seen: Overview, links: Mapping[str, str] | None = None) -> str:
     """The page's HTML; it needs no network. `links`: scene -> the page to which its picture leads."""
     title = escape(f"{seen.name}: {counted(len(seen.scenes), 'scene')}, {seen.frames} frames")
-    sections = [
-        ("Scenes", _states(seen)),
-        ("Failures by cause", _causes(seen.scenes)),
-        ("Coverage", _coverage(seen)),
-        ("Largest force in a scene", _forces(seen.scenes)),
-        ("Wall-clock seconds by stage", _seconds(seen)),
-        ("Pictures", _pictures(seen, links or {})),
-        ("A scene frame by frame", _frames(seen.scenes)),
-        ("Datasets", _table(("dataset", "shape"), seen.datasets.items())),
-    ]
-    body = "".join(f"<h2>{name}</h2>{content}" for name, content in sections if content)
-    style = html_page.asset("report.css") + html_page.asset("viewer.css")
-    return html_page.page(title, style, f"<h1>{title}</h1>{body}") + "\n"
+    sections = {
+        "Overview": _overview(seen),
+        "Coverage": _coverage(seen),
+        "Forces": _forces(seen.scenes),
+        "Scenes": _scenes(seen, links or {}),
+        "A scene frame by frame": _frames(seen.scenes),
+        "Seconds": _seconds(seen),
+        "Datasets": _datasets(seen.datasets),
+    }
+    shown = {name: content for name, content in sections.items() if content}
+    bar = "".join(f'<a href="#{name.split()[-1]}">{name}</a>' for name in shown)
+    body = "".join(f"<h2 id={name.split()[-1]}>{name}</h2>{content}" for name, content in shown.items())
+    body = f"<div class=report><div class=toolbar><h1>{title}</h1>{bar}</div><main>{body}</main></div>"
+    return html_page.page(title, body) + "\n"
 
 
 def causes(scenes: Iterable[SceneOverview]) -> dict[tuple[str, str], list[str]]:
@@ -66,82 +65,103 @@ def causes(scenes: Iterable[SceneOverview]) -> dict[tuple[str, str], list[str]]:
     return dict(sorted(affected.items(), key=lambda item: -len(item[1])))
 
 
-def _states(seen: Overview) -> str:
-    rows = [(state, str(n)) for state, n in seen.count().items()]
-    rows.append(("size", f"{seen.bytes / 1e6:.1f} MB"))
-    rows += [(name, ", ".join(seen.distinct(name))) for name in ("sensor", "tacgen_version", "solver", "renderer")]
-    rows.append(("indenter", ", ".join(seen.indenters)))
-    return _table(("", ""), [row for row in rows if row[1]])
-
-
-def _causes(scenes: Sequence[SceneOverview]) -> str:
-    rows = []
-    for (state, reason), names in causes(scenes).items():
+def _overview(seen: Overview) -> str:
+    """Counts as tiles, what made the data, and failures by cause."""
+    counts = {f"{state} scenes": str(n) for state, n in seen.count().items()}
+    counts |= {"frames": str(seen.frames), "size": f"{seen.bytes / 1e6:.1f} MB"}
+    tiles = "".join(f"<div class=card><b>{count}</b>{escape(name)}</div>" for name, count in counts.items())
+    rows = [("indenter", ", ".join(seen.indenters))]
+    for name in ("sensor", "solver", "renderer", "tacgen_version"):
+        rows.append((name.replace("_", " "), ", ".join(seen.distinct(name))))
+    facts = table((), [row for row in rows if row[1]])
+    failed = []
+    for (state, reason), names in causes(seen.scenes).items():
         shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-        rows.append((str(len(names)), state, reason or "not made yet", shown))
-    return _table(("scenes", "state", "cause", ""), rows) if rows else "<p>None: all scenes are finished.</p>"
+        failed.append((len(names), state, reason or "not made yet", shown))
+    why = f"<h2>Failures by cause</h2>{table(('scenes', 'state', 'cause', ''), failed)}" if failed else ""
+    return f"<div class=tiles>{tiles}</div>{facts}{why}"
 
 
 def _coverage(seen: Overview) -> str:
-    """A histogram of each varied number, and scatter plots of pairs, one point per scene, coloured by its state."""
-    numbers = {p: v for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
-    colours = [STATE_COLOURS.get(scene.state, OTHER_COLOUR) for scene in seen.scenes]
-    names = short(seen.varied)
+    """Histograms of each varied number and of the largest force, and scatter plots of pairs of varied numbers, a point
+    for each scene, coloured by its state."""
+    numbers = {p: np.array(v, float) for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
+    colours = [scene.state if scene.state in STATES else "other" for scene in seen.scenes]
+    names = {path: "{} [{}]".format(*dataset_summary.name_and_unit(name)) for path, name in short(seen.varied).items()}
+    names = {path: name.removesuffix(" []") for path, name in names.items()}
     rows = [(path, dataset_summary.spread(values)) for path, values in seen.varied.items()]
-    bars = [_histogram(names[path], np.array(values, float)) for path, values in numbers.items()]
-    plots = []
-    for (a, x), (b, y) in list(combinations(numbers.items(), 2))[:MAX_SCATTER_PLOTS]:
-        plots.append(_scatter(names[a], np.array(x, float), names[b], np.array(y, float), colours))
-    key = " ".join(f'<span style="color:{colour}">&#9679; {state}</span>' for state, colour in STATE_COLOURS.items())
-    shown = _table(("varied", "values"), rows) + f"<p>{key}</p>" + "".join(bars) + f"<div>{''.join(plots)}</div>"
-    return shown if rows else ""
+    plots = [svg_plots.histogram(names[path], values) for path, values in numbers.items()]
+    if peaks := [scene.peak_n for scene in seen.scenes if scene.peak_n is not None]:
+        plots.append(svg_plots.histogram("largest force in a scene [N]", np.array(peaks)))
+    pairs = list(combinations(numbers.items(), 2))[:MAX_SCATTER_PLOTS]
+    plots += [svg_plots.scatter(names[a], x, names[b], y, colours) for (a, x), (b, y) in pairs]
+    key = _key({state: state for state in STATES if state in colours}) if pairs and len(set(colours)) > 1 else ""
+    return f"{table(('varied', 'values'), rows) if rows else ''}{key}{_plots(plots)}"
 
 
 def _forces(scenes: Sequence[SceneOverview]) -> str:
-    peaks = [scene.peak_n for scene in scenes if scene.peak_n is not None]
-    return _histogram("force [N]", np.array(peaks)) if peaks else ""
+    """Force curves of all pictured scenes: a row for each movement, a colour for each shape."""
+    known = [s.bundle for s in pictured(scenes) if s.bundle is not None and s.peak_n is not None]
+    if not known:
+        return ""
+    shapes = list(dict.fromkeys(map(shape_name, known)))
+    colours = {shape: f"c{k}" if k < MAX_SHAPE_COLOURS else "other" for k, shape in enumerate(shapes)}
+    rows: dict[str, list[Bundle]] = {}
+    for bundle in known:
+        rows.setdefault(movement(bundle), []).append(bundle)
+    every = np.concatenate([bundle["/frames/force"] for bundle in known])
+    side, normal = ((float(part.min(initial=0)), float(part.max(initial=0))) for part in (every[:, :2], every[:, 2]))
+    shown = ""
+    for moves, bundles in list(rows.items())[:MAX_MOVEMENT_ROWS]:
+        longest, plots = max(bundles, key=lambda bundle: bundle.frames), []
+        for axis, span in enumerate((side, side, normal)):
+            series = [(colours[shape_name(bundle)], bundle["/frames/force"][:, axis]) for bundle in bundles]
+            plots.append(svg_plots.curves(f"F{'xyz'[axis]} [N]", series, span, longest.segments))
+        shown += f"<h3>{escape(moves)}: {counted(len(bundles), 'scene')}</h3>{_plots(plots)}"
+    left = f"; {len(rows) - MAX_MOVEMENT_ROWS} more movements are not shown" * (len(rows) > MAX_MOVEMENT_ROWS)
+    told = "Force on the gel over the frames of each scene; Fx and Fy have one scale"
+    return f"<p class=soft>{told}{left}.</p>{_key(colours)}<div class=forces>{shown}</div>"
+
+
+def _plots(plots: Sequence[str]) -> str:
+    return f"<div class=plots>{''.join(plots)}</div>" if plots else ""
+
+
+def _key(colours: Mapping[str, str]) -> str:
+    """Names with a dot of the colour that stands for them."""
+    dots = (f"<span><span class={colour}>&#9679;</span> {escape(name)}</span>" for name, colour in colours.items())
+    return f"<div class=key>{''.join(dots)}</div>"
 
 
 def _seconds(seen: Overview) -> str:
     rows = []
     for stage, seconds, each in seen.costs:
-        width = 300 * seconds / max(seen.costs[-1][1], 1e-9)
-        bar = f'<svg width=300 height=12><rect width={width:.1f} height=12 fill="#0072b2"/></svg>'
-        rows.append((escape(stage), f"{seconds:.1f} s", f"{each:.3f} s a frame", "" if stage == "all" else bar))
-    return _table(("stage", "", "", ""), rows, raw=True) if rows else ""
+        share = 100 * seconds / max(seen.costs[-1][1], 1e-9)
+        bar = "" if stage == "all" else f'<div class=bar style="width:{share:.1f}%"></div>'
+        rows.append((stage, f"{seconds:.1f} s", f"{each:.3f} s", bar))
+    head = ("stage", "wall-clock", "a frame", "")
+    return f"<div class=stages>{table(head, rows, raw=1)}</div>" if rows else ""
 
 
-def pictured(seen: Overview) -> list[SceneOverview]:
+def _datasets(shapes: Mapping[str, str]) -> str:
+    listed = table(("dataset", "shape"), shapes.items())
+    return f"<details><summary>{counted(len(shapes), 'dataset')} a scene</summary>{listed}</details>" if shapes else ""
+
+
+def pictured(scenes: Sequence[SceneOverview]) -> list[SceneOverview]:
     """Scenes with frames, evenly spread over the plan."""
-    good = [scene for scene in seen.scenes if scene.bundle is not None and scene.bundle.frames]
+    good = [scene for scene in scenes if scene.bundle is not None and scene.bundle.frames]
     step = max(1.0, len(good) / MAX_REPORT_PICTURES)
     return [good[int(i * step)] for i in range(min(len(good), MAX_REPORT_PICTURES))]
 
 
-def _pictures(seen: Overview, links: Mapping[str, str]) -> str:
-    """Images of scenes, each at the frame of its largest force, and a link to that frame."""
-    names = short(seen.varied)
-    shown = []
-    for scene in pictured(seen):
-        assert scene.bundle is not None
-        picture = _picture(scene.bundle)
-        if picture:
-            values = "<br>".join(escape(f"{names[p]} {dataset_summary.spread([v])}") for p, v in scene.values.items())
-            force = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
-            marks, error = viewer.marks(scene.bundle), force_error(scene.bundle)
-            if error and viewer.LARGEST_FORCE_LABEL in marks:
-                force = f"{force} {error.text(marks[viewer.LARGEST_FORCE_LABEL])}"
-            if link := links.get(scene_pages.name_of(scene.bundle)):
-                picture = f'<a href="{link}#frame={marks.get(viewer.LARGEST_FORCE_LABEL, 0)}">{picture}</a>'
-            shown.append(
-                f"<figure>{picture}<b>{escape(scene.name)}</b>{_finger(scene.bundle)} {force}<br>{values}</figure>"
-            )
-    return "".join(shown)
-
-
-def _finger(bundle: Bundle) -> str:
-    """` left finger` or ` right finger` of a grasp, otherwise nothing."""
-    return f" {escape(bundle.attrs['finger'])} finger" if "finger" in bundle.attrs else ""
+def _scenes(seen: Overview, links: Mapping[str, str]) -> str:
+    """Scenes, each with its image at its largest force, and their filters."""
+    shown = pictured(seen.scenes)
+    if not shown:
+        return ""
+    bar = f"<div class=toolbar>{scene_pages.filters(shown)}</div>"
+    return f"{bar}{scene_pages.cards(seen, shown, links)}<script>{html_page.asset('scenes.js')}</script>"
 
 
 def _frames(scenes: Sequence[SceneOverview]) -> str:
@@ -151,73 +171,3 @@ def _frames(scenes: Sequence[SceneOverview]) -> str:
         return viewer.block([bundle], in_3d=False) if bundle else ""
     except UserError as error:
         return f"<p>{escape(str(error))}</p>"
-
-
-def _picture(bundle: Bundle) -> str:
-    """The camera image, or else the pressure in grey, as an HTML element."""
-    k = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax()) if "/frames/force" in bundle else -1
-    if "/frames/rgb" in bundle:
-        pixels = bundle.frame("/frames/rgb", k % bundle.frames)
-    elif "/frames/pressure" in bundle:
-        pressure = bundle.frame("/frames/pressure", k % bundle.frames)
-        pixels = (255 * np.clip(pressure / max(float(pressure.max()), 1e-9), 0, 1)).astype(np.uint8)
-    else:
-        return ""
-    content = base64.b64encode(encoded(pixels, "JPEG", PICTURE_WIDTH_PX, quality=85)).decode()
-    return f'<img alt="" src="data:image/jpeg;base64,{content}">'
-
-
-def _histogram(name: str, values: np.ndarray) -> str:
-    """A histogram as SVG, labelled with the ends of the range and the largest count."""
-    count, edges = np.histogram(values, bins=min(20, max(5, len(values) // 3)))
-    width, height = 220, 90
-    step = width / len(count)
-    bars = "".join(
-        f"<rect x={10 + i * step:.1f} y={15 + height * (1 - n / count.max()):.1f} width={step - 1:.1f} "
-        f'height={height * n / count.max():.1f} fill="#0072b2"/>'
-        for i, n in enumerate(count)
-    )
-    ends = f"<text x=10 y=120>{edges[0]:.3g}</text><text x=230 y=120 text-anchor=end>{edges[-1]:.3g}</text>"
-    name = f"<text x=120 y=135 text-anchor=middle>{_label(name)}</text>"
-    top = f"{name}<text x=10 y=11>{counted(int(count.max()), 'scene')}</text>"
-    return f"<svg width=240 height=140>{bars}{ends}{top}</svg>"
-
-
-def _scatter(a: str, x: np.ndarray, b: str, y: np.ndarray, colours: Sequence[str]) -> str:
-    """A scatter plot as SVG, with both names and ticks at round numbers."""
-
-    def at(v: np.ndarray, value: Any) -> Any:
-        """Pixels of the plot from the least of v."""
-        return 180 * (value - v.min()) / max(float(np.ptp(v)), 1e-12)
-
-    points = "".join(
-        f'<circle cx={70 + right:.1f} cy={195 - up:.1f} r=2.2 fill="{colour}" fill-opacity=.7 />'
-        for right, up, colour in zip(at(x, x), at(y, y), colours, strict=True)
-    )
-    frame = '<rect x=65 y=10 width=190 height=190 fill="none" stroke="#bbb"/>'
-    ticks = "".join(
-        f'<path d="M{70 + at(x, v):.1f} 200v4" stroke="#bbb"/>'
-        f"<text x={70 + at(x, v):.1f} y=215 text-anchor=middle>{v:g}</text>"
-        for v in round_ticks(x.min(), x.max(), 5)
-    )
-    ticks += "".join(
-        f'<path d="M65 {195 - at(y, v):.1f}h-4" stroke="#bbb"/>'
-        f"<text x=59 y={199 - at(y, v):.1f} text-anchor=end>{v:g}</text>"
-        for v in round_ticks(y.min(), y.max(), 5)
-    )
-    under = f"<text x=160 y=231 text-anchor=middle>{_label(a)}</text>"
-    beside = f'<text transform="translate(11 105) rotate(-90)" text-anchor=middle>{_label(b)}</text>'
-    return f"<svg width=270 height=237>{frame}{ticks}{points}{under}{beside}</svg>"
-
-
-def _label(name: str) -> str:
-    """A name, cut at the left if it is long."""
-    return escape(name if len(name) <= 32 else "\N{HORIZONTAL ELLIPSIS}" + name[-30:])
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, raw: bool = False) -> str:
-    def cells(row: Sequence[Any], tag: str) -> str:
-        return "".join(f"<{tag}>{cell if raw else escape(str(cell))}</{tag}>" for cell in row)
-
-    top = f"<tr>{cells(head, 'th')}</tr>" if any(head) else ""
-    return f"<table>{top}" + "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows) + "</table>"

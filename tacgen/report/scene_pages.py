@@ -1,21 +1,29 @@
 """Pages of a data set's scenes: one page a scene, and a list of them with filters and jumps to telling frames."""
 
-from collections.abc import Iterable, Sequence
+import base64
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
+
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import indenter_text, sensor_text
+from tacgen.bundle.caption import scene_text
 from tacgen.bundle.force_error import force_error
+from tacgen.bundle.image_file import encoded
 from tacgen.report import dataset_summary, html_page, viewer
-from tacgen.report.dataset_summary import Overview, SceneOverview, spread
+from tacgen.report.dataset_summary import Overview, SceneOverview, shape_name
 from tacgen.report.sheet import counted, short
 
 MAX_SCENE_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
-PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: https:"
+PICTURE_WIDTH_PX = 240  # of a scene in a list [px]
+PAGE_POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: "
+    "https:"
+)
 
 
 def write_pages(bundles: Iterable[Bundle], page: Path, *, in_3d: bool) -> dict[str, str]:
@@ -73,45 +81,85 @@ def _chosen(scenes: Sequence[SceneOverview]) -> list[SceneOverview]:
     return [scene for scene in scenes if id(scene) in kept]
 
 
-def _page(seen: Overview, scenes: Sequence[SceneOverview], links: dict[str, str], left: int) -> str:
+def _page(seen: Overview, scenes: Sequence[SceneOverview], links: Mapping[str, str], left: int) -> str:
     title = escape(f"{seen.name}: {counted(len(seen.scenes), 'scene')}")
+    text = f"{counted(left, 'scene')} without frames, or left out: at most {MAX_SCENE_PAGES} have pages"
+    more = f"<p class=soft>{text}.</p>" if left else ""
+    body = (
+        f"<div class=list><div class=toolbar><h1>{title}</h1>{filters(scenes)}</div>"
+        f"<nav>{more}{cards(seen, scenes, links)}</nav><iframe name=scene title=scene></iframe></div>"
+        f"<script>{html_page.asset('scenes.js')}</script>"
+    )
+    return html_page.page(title, body, PAGE_POLICY)
+
+
+def filters(scenes: Sequence[SceneOverview]) -> str:
+    """Filters and the order of `cards`, for scenes.js; what all scenes share has none."""
+    known = [scene.bundle for scene in scenes if scene.bundle is not None]
+    kinds: dict[str, Iterable[str]] = {
+        "shape": map(shape_name, known),
+        "movement": map(movement, known),
+        "state": (scene.state for scene in scenes),
+    }
+    found = '<label>find <input id=words type=search placeholder="sphere 0.3"></label>'
+    for name, values in kinds.items():
+        different = dict.fromkeys(values)
+        all_and_each = {"": "all"} | {value: value for value in different}
+        found += html_page.choice(name, name, all_and_each) if len(different) > 1 else ""
+    found += "<label>force at least <input id=least type=number min=0 step=0.1> N</label>"
+    order = {"index": "as planned", "peak": "largest force"}
+    return f"{found}{html_page.choice('order', 'order', order)}<span class=soft id=count></span>"
+
+
+def cards(seen: Overview, scenes: Iterable[SceneOverview], links: Mapping[str, str]) -> str:
+    """A list of scenes with bundles: picture, name, largest force, what happens in words, links to telling frames."""
     names = short(seen.varied)
-    items = "".join(_item(i, scene, links, names) for i, scene in enumerate(scenes))
-    states = "".join(f"<option>{state}</option>" for state in dict.fromkeys(scene.state for scene in scenes))
-    more = (
-        f"<p>{counted(left, 'scene')} without frames, or left out: at most {MAX_SCENE_PAGES} have pages.</p>"
-        if left
-        else ""
-    )
-    filters = (
-        '<label>words <input id=words type=search placeholder="sphere digit"></label>'
-        f'<label>state <select id=state><option value="">all</option>{states}</select></label>'
-        "<label>force at least <input id=least type=number min=0 step=0.1 style='width:5em'> N</label>"
-        "<label>order <select id=order><option value=plan>of the plan</option>"
-        "<option value=force>largest force</option></select></label><p id=count></p>"
-    )
-    body = f"<nav><h1>{title}</h1>{filters}{more}<ol>{items}</ol></nav><iframe name=scene title=scene></iframe>"
-    body += f"<script>{html_page.asset('scenes.js')}</script>"
-    return html_page.page(title, html_page.asset("scenes.css"), body, PAGE_POLICY)
+    return f"<ol class=scenes>{''.join(_card(i, scene, links, names) for i, scene in enumerate(scenes))}</ol>"
 
 
-def _item(index: int, scene: SceneOverview, links: dict[str, str], names: dict[str, str]) -> str:
-    """One scene of the list: its name, what it is, and links to its telling frames."""
+def movement(bundle: Bundle) -> str:
+    """The kinds of a bundle's movements, in order: `press, slide`."""
+    return ", ".join(dict.fromkeys(bundle.segments))
+
+
+def _card(index: int, scene: SceneOverview, links: Mapping[str, str], names: Mapping[str, str]) -> str:
     bundle = scene.bundle
     assert bundle is not None
-    link, about = links[name_of(bundle)], f"{indenter_text(bundle)}, on {sensor_text(bundle)}"
-    values = ", ".join(f"{names[path]} {spread([value])}" for path, value in scene.values.items())
-    jumps = "".join(
-        f'<a target=scene href="{link}#frame={frame}">{escape(what)} ({frame})</a>'
-        for what, frame in viewer.marks(bundle).items()
-    )
-    error = force_error(bundle)
+    link, marks, error = links.get(name_of(bundle), ""), viewer.marks(bundle), force_error(bundle)
+    largest = marks.get(viewer.LARGEST_FORCE_LABEL)
     peak = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
-    if error and (largest := viewer.marks(bundle).get(viewer.LARGEST_FORCE_LABEL)) is not None:
+    if error and largest is not None:
         peak = f"{peak} {error.text(largest)}"
-    why = f"<div class=why>{escape(scene.reason)}</div>" if scene.reason else ""
-    words = f"{scene.name} {about} {values} {scene.reason}".lower()
-    data = f'data-index={index} data-state="{scene.state}" data-peak="{scene.peak_n or 0:.6g}"'
-    first = f'<a target=scene href="{link}"><b>{escape(scene.name)}</b></a>'
-    text = f"{first}{peak}<div>{escape(about)}</div><div>{escape(values)}</div>{why}{jumps}"
-    return f'<li class="{scene.state}" {data} data-words="{escape(words)}">{text}</li>'
+
+    def linked(content: str, frame: int) -> str:
+        return f'<a target=scene href="{link}#frame={frame}">{content}</a>' if link else content
+
+    told = {path: value for path, value in scene.values.items() if path not in ("indenter", "trajectory")}
+    values = ", ".join(dataset_summary.phrase(names[path], value) for path, value in told.items())
+    jumps = "".join(linked(f"{escape(what)} ({frame})", frame) for what, frame in marks.items())
+    words = f"{scene.name} {scene_text(bundle)} {values} {scene.reason}"
+    lines = [
+        f"<p><b>{linked(escape(scene.name), 0)}</b><span>{peak}</span></p>",
+        f"<p>{escape(scene_text(bundle))}</p>",
+        f"<p class=soft>{escape(values)}</p>" if values else "",
+        f"<p class=bad>{escape(scene.reason)}</p>" if scene.reason else "",
+        f"<p class=jumps>{jumps}</p>" if link else "",
+    ]
+    facts = {"words": words.lower(), "shape": shape_name(bundle), "movement": movement(bundle), "state": scene.state}
+    facts |= {"index": str(index), "peak": f"{scene.peak_n or 0:.6g}"}
+    data = " ".join(f'data-{name}="{escape(fact)}"' for name, fact in facts.items())
+    return f"<li class=scene {data}>{linked(_picture(bundle), largest or 0)}<div>{''.join(lines)}</div></li>"
+
+
+def _picture(bundle: Bundle) -> str:
+    """The camera image, or else the pressure in grey, at the largest force, as an HTML element."""
+    k = viewer.marks(bundle).get(viewer.LARGEST_FORCE_LABEL, bundle.frames - 1)
+    if "/frames/rgb" in bundle:
+        pixels = bundle.frame("/frames/rgb", k)
+    elif "/frames/pressure" in bundle:
+        pressure = bundle.frame("/frames/pressure", k)
+        pixels = (255 * np.clip(pressure / max(float(pressure.max()), 1e-9), 0, 1)).astype(np.uint8)
+    else:
+        return ""
+    content = base64.b64encode(encoded(pixels, "JPEG", PICTURE_WIDTH_PX, quality=85)).decode()
+    return f'<img alt="" src="data:image/jpeg;base64,{content}">'

@@ -1,27 +1,21 @@
 "use strict";
-const all = [...document.querySelectorAll("li")], by = (id) => document.getElementById(id);
+(() => {
+const list = document.querySelector("ol.scenes"), all = [...list.children], by = (id) => document.getElementById(id);
 function filter() {
-  const words = by("words").value.toLowerCase().split(/\s+/), state = by("state").value;
-  const least = +by("least").value || 0;
-  let n = 0;
-  for (const item of all) {
-    const { words: said, state: its, peak } = item.dataset;
-    const fits = (!state || its === state) && (!least || +peak >= least);
-    item.hidden = !(fits && words.every((word) => said.includes(word)));
-    n += !item.hidden;
-  }
-  by("count").textContent = `${n} of ${all.length}`;
+  const words = by("words").value.toLowerCase().split(/\s+/), least = +by("least").value || 0;
+  const fits = ({ dataset }) => words.every((word) => dataset.words.includes(word)) && (!least || +dataset.peak >= least)
+    && ["shape", "movement", "state"].every((name) => !by(name)?.value || by(name).value === dataset[name]);
+  for (const item of all) item.hidden = !fits(item);
+  by("count").textContent = `${all.filter((item) => !item.hidden).length} of ${all.length}`;
 }
-function sort() {
-  const key = by("order").value, list = document.querySelector("ol");
-  const order = { plan: (a, b) => a.dataset.index - b.dataset.index, force: (a, b) => b.dataset.peak - a.dataset.peak };
-  list.append(...[...all].sort(order[key]));
-}
-for (const id of ["words", "state", "least"]) by(id).oninput = filter;
-by("order").oninput = sort;
-document.querySelector("ol").onclick = (event) => {
-  if (event.target.tagName !== "A") return;
-  for (const item of all) item.classList.toggle("on", item.contains(event.target));
+for (const id of ["words", "least", "shape", "movement", "state"]) by(id)?.addEventListener("input", filter);
+by("order").oninput = () => {
+  const key = by("order").value, sign = key === "peak" ? -1 : 1;
+  list.append(...[...all].sort((a, b) => sign * (a.dataset[key] - b.dataset[key])));
+};
+list.onclick = (event) => {
+  if (event.target.closest("a")) for (const item of all) item.classList.toggle("on", item.contains(event.target));
 };
 filter();
-document.querySelector("li a")?.click();
+if (document.querySelector("iframe")) list.querySelector("a")?.click();
+})();

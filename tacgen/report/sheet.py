@@ -34,6 +34,10 @@ class Page:
         place = (x / self.width, 1 - (y + h) / self.height, w / self.width, h / self.height)
         return self.figure.add_axes(place)
 
+    def row(self, count: int, x: float, y: float, w: float, h: float, gap: float) -> list["Axes"]:
+        """So many axes of size (w, h) side by side, the first one's upper left corner at (x, y) [inch]."""
+        return [self.axes(x + k * (w + gap), y, w, h) for k in range(count)]
+
     def colour_bar(self, drawn: Any, label: str, *, x: float, y: float, h: float) -> "Axes":
         """The colour bar of what was `drawn`, of height h with its upper left corner at (x, y) [inch]."""
         bar = self.axes(x, y, 0.1, h)

@@ -2,7 +2,9 @@
 "use strict";
 (() => {
 const data = JSON.parse(document.getElementById("viewed").textContent), root = document.querySelector(".viewer");
-const SIZE = [560, 370], FORCE = [560, 150], GAP = 16, LEAST = 420, PLOT = { left: 52, top: 10, right: 92, bottom: 40 }, SHARP = 2;
+const SIZE = [560, 370], FORCE = [560, 150], GAP = 12, LEAST = 420, PLOT = { left: 52, top: 10, right: 92, bottom: 40 }, SHARP = 2;
+const AROUND = 18; // pixels of a card's padding and border
+const tone = (name) => getComputedStyle(root).getPropertyValue(`--${name}`); // a colour of page.css
 const state = { k: 0, layer: data.layers[0] ?? "picture", part: 0, cut: true, indenter: true, turn: [-0.5, 0.45], zoom: 1 };
 const most = Math.max(...data.bundles.map((b) => b.frames.length));
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -36,7 +38,7 @@ function write(pen, text, x, y, align = "center", turned = 0) {
   pen.save();
   pen.translate(x, y);
   pen.rotate(turned);
-  Object.assign(pen, { fillStyle: "#222", textAlign: align, textBaseline: "middle" }).fillText(text, 0, 0);
+  Object.assign(pen, { fillStyle: tone("ink"), textAlign: align, textBaseline: "middle" }).fillText(text, 0, 0);
   pen.restore();
 }
 
@@ -61,7 +63,7 @@ function bar(pen, scale, x, y, height) {
     pen.fillRect(x, y + height * (1 - (i + 1) / 255), 12, height / 255 + 0.5);
   }
   for (const value of ticks(scale.low, scale.high, 6)) {
-    line(pen, "#222", 1, [x + 12, at(value)], [x + 16, at(value)]);
+    line(pen, tone("ink"), 1, [x + 12, at(value)], [x + 16, at(value)]);
     write(pen, short(value), x + 19, at(value), "left");
   }
   write(pen, scale.label, x + 66, y + height / 2, "center", -Math.PI / 2);
@@ -95,29 +97,30 @@ async function drawMap(side, name, k) {
   if (k !== place(side) || name !== state.layer) return; // another frame was asked for meanwhile
   const pen = sharp(side.canvas, SIZE), aspect = (y1 - y0) / (x1 - x0);
   const width = Math.min(SIZE[0] - PLOT.left - PLOT.right, (SIZE[1] - PLOT.top - PLOT.bottom) / aspect), height = width * aspect;
-  side.shown = { ...shown, width, height, scale };
+  const left = PLOT.left + (SIZE[0] - PLOT.left - PLOT.right - width) / 2;
+  side.shown = { ...shown, left, width, height, scale };
   if (!layer) return write(pen, `no ${name} in this bundle`, SIZE[0] / 2, 60);
   pen.imageSmoothingEnabled = !scale;
-  if (shown) pen.drawImage(shown.canvas, PLOT.left, PLOT.top, width, height);
+  if (shown) pen.drawImage(shown.canvas, left, PLOT.top, width, height);
   layer.arrows?.at.forEach(([x, y], i) => {
     const [u, v] = layer.arrows.by[k][i];
-    arrow(pen, PLOT.left + x * width, PLOT.top + y * height, u * width, v * width);
+    arrow(pen, left + x * width, PLOT.top + y * height, u * width, v * width);
   });
-  line(pen, "#888", 1, ...[[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]].map(([x, y]) => [PLOT.left + x * width, PLOT.top + y * height]));
+  line(pen, tone("soft"), 1, ...[[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]].map(([x, y]) => [left + x * width, PLOT.top + y * height]));
   for (const x of ticks(x0, x1, 6)) {
-    const at = PLOT.left + ((x - x0) / (x1 - x0)) * width;
-    line(pen, "#222", 1, [at, PLOT.top + height], [at, PLOT.top + height + 4]);
+    const at = left + ((x - x0) / (x1 - x0)) * width;
+    line(pen, tone("ink"), 1, [at, PLOT.top + height], [at, PLOT.top + height + 4]);
     write(pen, short(x), at, PLOT.top + height + 11);
   }
   for (const y of ticks(y0, y1, 5)) {
     const at = PLOT.top + ((y - y0) / (y1 - y0)) * height;
-    line(pen, "#222", 1, [PLOT.left - 4, at], [PLOT.left, at]);
-    write(pen, short(y), PLOT.left - 7, at, "right");
+    line(pen, tone("ink"), 1, [left - 4, at], [left, at]);
+    write(pen, short(y), left - 7, at, "right");
   }
   const arrows = name === "markers" ? `; arrows: motion of the markers \u00d7 ${data.magnified}` : "";
-  write(pen, `x [${side.bundle.unit}]${arrows}`, PLOT.left + width / 2, PLOT.top + height + 27);
-  write(pen, `y [${side.bundle.unit}]`, 12, PLOT.top + height / 2, "center", -Math.PI / 2);
-  if (scale) bar(pen, scale, PLOT.left + width + 8, PLOT.top, height);
+  write(pen, `x [${side.bundle.unit}]${arrows}`, left + width / 2, PLOT.top + height + 27);
+  write(pen, `y [${side.bundle.unit}]`, left - 40, PLOT.top + height / 2, "center", -Math.PI / 2);
+  if (scale) bar(pen, scale, left + width + 8, PLOT.top, height);
 }
 
 const VERTEX = `#version 300 es
@@ -192,19 +195,21 @@ class Solid {
     gl.drawElements(kind, order.length, gl.UNSIGNED_INT, 0);
   }
 
+  size() { return this.scale * state.zoom * Math.min(1, SIZE[0] / SIZE[1] / 1.5); } // a canvas is as high as 2 / size [mm]
+
   axes() { // screen x, screen y and depth of the sensor's x, y and z
     const [[c, s], [d, e]] = state.turn.map((angle) => [Math.cos(angle), Math.sin(angle)]);
     return [[c, e * s, d * s], [-s, e * c, d * c], [0, d, -e]];
   }
 
   draw(k) {
-    const { gl, told } = this, part = data.parts[state.part], axes = this.axes(), size = this.scale * state.zoom;
+    const { gl, told } = this, part = data.parts[state.part], axes = this.axes(), size = this.size();
     const wide = (size * SIZE[1]) / SIZE[0], middle = this.ends.map(([a, b]) => (a + b) / 2), cut = state.cut ? told.cuts[k].y : -1e9;
     const view = axes.flatMap(([x, y, z]) => [wide * x, size * y, 0.2 * this.scale * z, 0]);
     view.push(...[0, 1, 2].map((i) => -middle.reduce((sum, m, j) => sum + m * view[4 * j + i], 0)), 1);
     view[12] -= 0.12; // beside the colour bar
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);
-    gl.clearColor(1, 1, 1, 1);
+    gl.clearColor(...[1, 3, 5].map((i) => parseInt(tone("card").trim().slice(i, i + 2), 16) / 255), 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, 255, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, tables[part.colours]);
     this.uniform("Matrix4fv", "view", false, view);
@@ -229,41 +234,43 @@ function drawSolid(side, k) {
   if (!solid) return write(pen, "no stress in this bundle", SIZE[0] / 2, 60);
   if (!solid.gl) return write(pen, "this browser has no WebGL 2", SIZE[0] / 2, 60);
   solid.draw(k);
-  pen.fillStyle = "#fffd"; // so that a solid that is zoomed in does not hide the bar's text
+  pen.fillStyle = `${tone("card").trim()}dd`; // so that a solid that is zoomed in does not hide the bar's text
   pen.fillRect(SIZE[0] - PLOT.right, 0, PLOT.right, SIZE[1]);
   bar(pen, data.parts[state.part], SIZE[0] - 84, 20, SIZE[1] - 70);
-  const [x, y] = [46, SIZE[1] - 60], unit = (solid.scale * state.zoom * SIZE[1]) / 2; // pixels a mm
+  const [x, y] = [46, SIZE[1] - 60], unit = (solid.size() * SIZE[1]) / 2; // pixels a mm
   solid.axes().forEach(([u, v], i) => {
-    line(pen, "#222", 1.5, [x, y], [x + 26 * u, y - 26 * v]);
+    line(pen, tone("ink"), 1.5, [x, y], [x + 26 * u, y - 26 * v]);
     write(pen, "xyz"[i], x + 36 * u, y - 36 * v);
   });
   const length = [0.5, 1, 2, 5, 10].find((mm) => mm * unit > 50) ?? 10;
-  line(pen, "#222", 2, [110, SIZE[1] - 30], [110 + length * unit, SIZE[1] - 30]);
+  line(pen, tone("ink"), 2, [110, SIZE[1] - 30], [110 + length * unit, SIZE[1] - 30]);
   write(pen, `${length} mm`, 110 + (length * unit) / 2, SIZE[1] - 18);
 }
 
+const FORCE_TONES = ["c1", "c2", "c0"];
 const spread = data.bundles.flatMap((b) => (b.force ?? []).flat()).reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [-1e-3, 1e-3]);
-const forceAt = (side, i) => PLOT.left + ((FORCE[0] - PLOT.left - PLOT.right) * i) / Math.max(side.bundle.frames.length - 1, 1);
+const forceAt = ({ bundle: { frames: { length } } }, i) => PLOT.left + (FORCE[0] - PLOT.left - PLOT.right) * (length > 1 ? i / (length - 1) : 0.5);
 function drawForce(side, k) {
   const pen = sharp(side.force, FORCE), { force, frames, segments } = side.bundle, right = FORCE[0] - PLOT.right;
   const y = (value) => 18 + (FORCE[1] - 18 - 34) * (1 - (value - spread[0]) / (spread[1] - spread[0]));
-  for (const value of ticks(...spread, 4)) {
-    line(pen, "#ddd", 1, [PLOT.left, y(value)], [right, y(value)]);
+  for (const value of ticks(...spread, Math.max(3, FORCE[1] / 60))) {
+    line(pen, tone("line"), 1, [PLOT.left, y(value)], [right, y(value)]);
     write(pen, short(value), PLOT.left - 6, y(value), "right");
   }
   segments.forEach((segment, i) => {
     if (i && segment === segments[i - 1]) return;
-    if (i) line(pen, "#bbb", 1, [forceAt(side, i - 0.5), 12], [forceAt(side, i - 0.5), FORCE[1] - 34]);
+    if (i) line(pen, tone("soft"), 1, [forceAt(side, i - 0.5), 12], [forceAt(side, i - 0.5), FORCE[1] - 34]);
     write(pen, segment, forceAt(side, i), 7, "left");
   });
-  data.lines.forEach((colour, axis) => {
-    if (!force) return;
-    line(pen, colour, 1.6, ...force.map((values, i) => [forceAt(side, i), y(values[axis])]));
-    pen.fillStyle = colour;
+  for (const axis of force ? [0, 1, 2] : []) {
+    const at = force.map((values, i) => [forceAt(side, i), y(values[axis])]), radius = at.length > 1 ? 2 : 4;
+    pen.fillStyle = tone(FORCE_TONES[axis]);
+    line(pen, pen.fillStyle, 1.6, ...at);
+    for (const [u, v] of at) pen.fill(new Path2D(`M${u - radius} ${v}a${radius} ${radius} 0 1 0 ${2 * radius} 0a${radius} ${radius} 0 1 0 ${-2 * radius} 0`));
     pen.fillText(`F${"xyz"[axis]} ${fixed(force[k][axis], 3)} N`, right + 8, 30 + 18 * axis);
-  });
+  }
   if (side.bundle.error?.[k]) write(pen, side.bundle.error[k], right + 8, 84, "left");
-  line(pen, "#222", 1, [forceAt(side, k), 14], [forceAt(side, k), FORCE[1] - 34]);
+  line(pen, tone("ink"), 1, [forceAt(side, k), 14], [forceAt(side, k), FORCE[1] - 34]);
   for (const i of new Set(ticks(0, frames.length - 1 || 1, 8).filter((i) => Number.isInteger(i) && i < frames.length))) write(pen, frames[i], forceAt(side, i), FORCE[1] - 24);
   write(pen, force ? "frame" : "frame (no forces)", (PLOT.left + right) / 2, FORCE[1] - 8);
   write(pen, "force on gel [N]", 12, FORCE[1] / 2 - 8, "center", -Math.PI / 2);
@@ -286,17 +293,20 @@ function draw() {
 }
 
 function said(side, event) { // the value under the pointer
-  const { shown, bundle } = side, x = (event.offsetX - PLOT.left) / shown?.width, y = (event.offsetY - PLOT.top) / shown?.height;
+  const { shown, bundle } = side, x = (event.offsetX - shown?.left) / shown?.width, y = (event.offsetY - PLOT.top) / shown?.height;
   if (!(x >= 0 && x < 1 && y >= 0 && y < 1) || state.layer === "stress") return (side.said.textContent = "");
   const [x0, y0, x1, y1] = bundle.box, level = shown.levels?.[Math.floor(y * shown.canvas.height) * shown.canvas.width + Math.floor(x * shown.canvas.width)];
   const value = level === undefined ? "" : level ? `: ${short(shown.scale.low + ((level - 1) / 254) * (shown.scale.high - shown.scale.low))} (${shown.scale.label})` : ": none";
   side.said.textContent = `x ${fixed(x0 + x * (x1 - x0), 2)}, y ${fixed(y0 + y * (y1 - y0), 2)} ${bundle.unit}${value}`;
 }
 
-const bars = make("fieldset", root), jumps = make("fieldset", root), chosen = make("fieldset", root), only = make("fieldset", root);
+const bars = make("div", root, { className: "toolbar" });
 const play = make("button", bars, { textContent: "play", type: "button" });
 const slider = make("input", bars, { type: "range", min: 0, max: most - 1, value: 0, title: "frame; arrow keys too" });
+slider.hidden = play.hidden = most < 2;
 slider.oninput = () => { state.k = +slider.value; draw(); };
+const now = make("p", bars, { className: "now", hidden: data.bundles.length > 1 });
+const jumps = make("span", bars), chosen = make("span", bars, { className: "choices" }), only = make("span", bars);
 let clock = 0;
 play.onclick = () => {
   play.textContent = clock ? "play" : "stop";
@@ -304,7 +314,7 @@ play.onclick = () => {
 };
 data.layers.forEach((name) => {
   const label = make("label", chosen), button = make("input", label, { type: "radio", name: "layer", value: name, checked: name === state.layer });
-  label.append(` ${name}`);
+  label.append(name);
   button.onchange = () => { state.layer = name; draw(); };
 });
 const select = make("select", only);
@@ -312,22 +322,24 @@ data.parts.forEach((part) => make("option", select, { textContent: part.label })
 select.onchange = () => { state.part = select.selectedIndex; draw(); };
 for (const [name, text] of [["cut", "cut through the indenter"], ["indenter", "indenter"]]) {
   const label = make("label", only), box = make("input", label, { type: "checkbox", checked: true });
-  label.append(` ${text}`);
+  label.append(text);
   box.onchange = () => { state[name] = box.checked; draw(); };
 }
-only.append("drag to turn, wheel to zoom");
+make("span", only, { className: "soft", textContent: "drag to turn, wheel to zoom" });
 
 const row = make("div", root, { className: "sides" });
 const sides = data.bundles.map((bundle, number) => {
-  const box = make("div", row), side = { bundle, number };
-  make("h3", box, { textContent: bundle.name });
-  make("p", box, { textContent: bundle.about + (bundle.rejected && `; ${bundle.rejected}`) });
-  side.title = make("p", box);
-  side.stage = make("div", box, { className: "stage" });
+  const box = make("section", row, { className: "side" }), side = { bundle, number, box };
+  const told = make("div", box, { className: "card told" }), map = make("div", box, { className: "card map" });
+  make("h3", told, { textContent: bundle.name });
+  make("p", told, { textContent: bundle.about });
+  if (bundle.rejected) make("p", told, { textContent: bundle.rejected, className: "bad" });
+  side.title = now.hidden ? make("p", told) : now;
+  side.stage = make("div", map, { className: "stage" });
   const behind = make("canvas", side.stage);
   side.canvas = make("canvas", side.stage, { className: "solid" });
-  side.said = make("p", box, { className: "said" });
-  side.force = make("canvas", box, { className: "force" });
+  side.said = make("p", map, { className: "said" });
+  side.force = make("canvas", make("div", box, { className: "card forces" }), { className: "force" });
   side.solid = bundle.solid && new Solid(behind, bundle.solid);
   side.force.onclick = (event) => {
     const part = (event.offsetX - PLOT.left) / (FORCE[0] - PLOT.left - PLOT.right);
@@ -358,15 +370,20 @@ function nearest(frame) { // its place among those shown
   return frames.reduce((best, n, i) => (Math.abs(n - frame) < Math.abs(frames[best] - frame) ? i : best), 0);
 }
 function fit() { // the sides fill the window, with the force beside the map where a single one is wide enough
-  const whole = root.clientWidth, across = sides.length * LEAST + GAP < whole ? sides.length : 1, wide = sides.length === 1 && whole > 1000;
-  const width = wide ? 0.62 * whole : (whole - GAP * (across - 1)) / across, above = wide ? 200 : 370; // [px] of the window's height
-  SIZE[0] = Math.round(Math.max(LEAST, Math.min(width, 1.5 * (innerHeight - above))));
-  SIZE[1] = Math.round(SIZE[0] * 0.66);
-  [FORCE[0], FORCE[1]] = wide ? [whole - SIZE[0] - GAP, Math.min(420, SIZE[1])] : [SIZE[0], 150];
-  for (const { stage, force, solid } of sides) {
-    force.parentElement.classList.toggle("wide", wide);
+  const { paddingLeft, paddingRight } = getComputedStyle(row), whole = root.clientWidth - parseFloat(paddingLeft) - parseFloat(paddingRight);
+  const across = sides.length * LEAST + GAP < whole ? sides.length : 1, wide = sides.length === 1 && whole > 1000;
+  const width = wide ? 0.66 * whole : (whole - GAP * (across - 1)) / across, above = bars.offsetHeight + (wide ? 160 : 330); // [px] of the window's height
+  const aspect = Math.max(...data.bundles.map(({ box: [x0, y0, x1, y1] }) => (y1 - y0) / (x1 - x0)));
+  const [beside, below] = [PLOT.left + PLOT.right, PLOT.top + PLOT.bottom], room = Math.max(260, innerHeight - above);
+  const enough = Math.max((room - below) / aspect + beside, data.parts.length ? 1.4 * room : 0); // a solid is wide
+  SIZE[0] = Math.floor(Math.max(LEAST, Math.min(width - AROUND, enough)));
+  SIZE[1] = Math.floor(Math.min(room, (SIZE[0] - beside) * aspect + below));
+  FORCE[0] = wide ? Math.floor(whole - SIZE[0] - GAP - 2 * AROUND) : SIZE[0];
+  for (const { stage, force, solid, box, said } of sides) {
+    box.classList.toggle("wide", wide);
     Object.assign(stage.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
     for (const canvas of stage.children) Object.assign(canvas.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
+    FORCE[1] = wide ? SIZE[1] + said.offsetHeight + box.querySelector(".told").offsetHeight + 8 : 170;
     Object.assign(force.style, { width: `${FORCE[0]}px`, height: `${FORCE[1]}px` });
     solid?.resize();
   }
@@ -379,6 +396,7 @@ function follow() { // page.html#layer=stress&frame=3
   draw();
 }
 addEventListener("resize", fit);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 addEventListener("hashchange", follow);
 fit();
 follow();

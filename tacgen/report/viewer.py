@@ -17,14 +17,14 @@ import numpy as np
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import indenter_text, sensor_text
+from tacgen.bundle.caption import scene_text
 from tacgen.bundle.check import UNIQUE_PATH
 from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.fem.elements import triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report import html_page
-from tacgen.report.bundle_figure import FORCE_COLOURS, image_size, magnification, only, scale_of
+from tacgen.report.bundle_figure import evenly, image_size, magnification, only, scale_of
 from tacgen.report.field_figure import DRAWN_FIELDS, SECTION_WIDTH_RATIO, STRESS_SECTIONS, indenter_surface, section
 from tacgen.report.layers import datasets_of, has_arrows, limits, map_of
 from tacgen.report.plane_cut import boundary
@@ -63,11 +63,11 @@ def write(paths: Sequence[Path], out: Path) -> None:
 def page(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
     """The whole page of one or two bundles with frames, with or without the gel in 3D."""
     title = escape(" | ".join(_name(bundle) for bundle in bundles))
-    return html_page.page(title, html_page.asset("viewer.css"), block(bundles, in_3d=in_3d), VIEWER_POLICY)
+    return html_page.page(title, block(bundles, in_3d=in_3d), VIEWER_POLICY)
 
 
 def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
-    """The viewer as part of a page with viewer.css: its data and its script.
+    """The viewer as part of a page: its data and its script.
 
     Two bundles share the scales of colours and arrows. Raises UserError: a mesh that cannot be drawn.
     """
@@ -87,7 +87,6 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
         "parts": parts,
         "magnified": times,
         "colours": {name: _base64(_table(name)) for name in sorted(tables)},
-        "lines": list(FORCE_COLOURS.values()),
         "bundles": [
             _about(bundle) | {"layers": _layers(bundle, scales, times), "solid": solid and solid.packed(parts)}
             for bundle, solid in zip(bundles, solids, strict=True)
@@ -100,8 +99,7 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
 
 def shown(bundle: Bundle) -> Array:
     """The numbers of the frames that the page shows: evenly spread, and those of `marks`."""
-    spread = np.linspace(0, bundle.frames - 1, MAX_VIEWER_FRAMES).round().astype(int)
-    return np.unique([*spread, *marks(bundle).values()])
+    return np.unique([*evenly(bundle.frames, MAX_VIEWER_FRAMES), *marks(bundle).values()])
 
 
 def marks(bundle: Bundle) -> dict[str, int]:
@@ -135,12 +133,11 @@ def _scale(name: str, bundles: Sequence[Bundle]) -> dict[str, Any]:
 def _about(bundle: Bundle) -> dict[str, Any]:
     """Texts, forces and sizes of a bundle."""
     frames, segments = shown(bundle), bundle.segments
-    scale, (height, width) = scale_of(bundle), image_size(bundle)
+    scale = scale_of(bundle)
     error = force_error(bundle)
-    left, top = (scale.centre[k] - size / 2 * scale.per_px[k] for k, size in enumerate((width, height)))
     return {
         "name": _name(bundle),
-        "about": f"{indenter_text(bundle)}, on {sensor_text(bundle)}",
+        "about": scene_text(bundle),
         "rejected": "" if bundle.attrs["status"] == "ok" else f"{bundle.attrs['status']}: {bundle.attrs['reason']}",
         "frames": frames.tolist(),
         "marks": marks(bundle),
@@ -148,7 +145,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
         "force": _numbers(bundle["/frames/force"][frames]) if "/frames/force" in bundle else None,
         "error": error and [error.text(k) for k in frames],
         "errorKind": error.kind if error else "",
-        "box": [left, top, left + width * scale.per_px[0], top + height * scale.per_px[1]],
+        "box": scale.box(*image_size(bundle)),
         "unit": scale.unit,
     }
 

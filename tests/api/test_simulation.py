@@ -9,11 +9,14 @@ import pytest
 import trimesh
 from helpers import synthetic
 from helpers.small_recipe import HEAD
+from PIL import Image
+from typer.testing import CliRunner
 
 import tacgen
 from tacgen.base.errors import LeftOut
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle, field_names
+from tacgen.cli.main import app
 from tacgen.outputs import LAYOUT
 from tacgen.recipe import plan
 
@@ -76,11 +79,33 @@ def test_it_shows_itself_in_one_line_and_names_what_it_has(frames: tacgen.Frames
 
 
 def test_the_figure_is_that_of_show(frames: tacgen.Frames, tmp_path: Path) -> None:
-    from tacgen.report import bundle_figure
+    for field in ("", "stress"):
+        options = [f"--field={field}"] if field else []
+        shown, plotted = tmp_path / f"shown{field}.png", tmp_path / f"plotted{field}.png"
+        done = CliRunner().invoke(app, ["show", str(frames.bundle.path), *options, "-o", str(shown)])
+        assert done.exit_code == 0, done.output
+        frames.plot(field).savefig(plotted, dpi=150)
+        assert shown.read_bytes() == plotted.read_bytes()
+    with pytest.raises(tacgen.UserError, match="strss: unknown field, did you mean stress"):
+        frames.plot("strss")
 
-    bundle_figure.picture(frames.bundle.path, tmp_path / "shown.png")
-    frames.plot().savefig(tmp_path / "plotted.png", dpi=150)
-    assert (tmp_path / "shown.png").read_bytes() == (tmp_path / "plotted.png").read_bytes()
+
+def test_frames_are_a_film(frames: tacgen.Frames, tmp_path: Path) -> None:
+    film = frames.animate(tmp_path / "x.gif")
+    with Image.open(film) as image:
+        assert image.n_frames == len(frames)
+    with pytest.raises(tacgen.UserError, match="is there already"):
+        frames.animate(film)
+    assert frames.animate(film, overwrite=True) == film
+
+
+def test_von_mises_of_uniaxial_tension_and_shear(frames: tacgen.Frames, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert frames.von_mises.shape == frames.stress.shape[:2]
+    tension, shear = np.zeros((1, 2, 6)), np.zeros((1, 2, 6))
+    tension[..., 2], shear[..., 4] = 0.3, 0.3
+    for stress, expected in ((tension, 0.3), (shear, 0.3 * 3**0.5)):
+        monkeypatch.setitem(frames._read, "/fields/nodal_stress", stress)
+        assert frames.von_mises == pytest.approx(np.full((1, 2), expected))
 
 
 def test_frames_outlive_those_that_made_them_and_leave_no_folder() -> None:

@@ -11,6 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
+from tacgen.bundle.bundle import read
 from tacgen.cli.main import app
 from tacgen.report import animation
 
@@ -58,7 +59,7 @@ def test_a_panel_shows_its_own_frame(tmp_path: Path, monkeypatch: pytest.MonkeyP
             seen.append([float(np.asarray(a.get_images()[0].get_array()).sum()) for a in panels])
 
     path = write(tmp_path / "x.h5", outputs=frozenset({"traction"}))
-    bundle = animation.only(path)
+    bundle = read(path)
     animation.film(bundle, Listening(), tmp_path / "film")
     wanted = bundle["/frames/pressure"].sum(axis=(1, 2))
     assert [panels[1] for panels in seen[1:]] == pytest.approx(wanted[1:], rel=1e-5)  # above that of frame 0
@@ -68,12 +69,12 @@ def test_a_panel_shows_its_own_frame(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_what_cannot_be_made_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "x.h5")
     with pytest.raises(UserError, match=r"^\.avi: unknown kind of film, use one of \.webp, \.gif, \.mp4"):
-        animation.write(path, tmp_path / "film.avi")
+        animation.write(read(path), tmp_path / "film.avi")
     with pytest.raises(UserError, match="has no frames"):
-        animation.write(write(tmp_path / "y.h5", stop=0), tmp_path / "film.gif")
+        animation.write(read(write(tmp_path / "y.h5", stop=0)), tmp_path / "film.gif")
     monkeypatch.setenv("PATH", "")
     with pytest.raises(UserError, match=r"^\.mp4: needs ffmpeg on the PATH"):
-        animation.write(path, tmp_path / "film.mp4")
+        animation.write(read(path), tmp_path / "film.mp4")
     done = CliRunner().invoke(app, ["show", str(path), "--animate", "x.gif", "--field", "slip"])
     assert done.exit_code == 2
     assert done.stderr == "--animate: draws a film of its own; leave out --out and --field\n"
@@ -81,5 +82,5 @@ def test_what_cannot_be_made_is_one_line(tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
 def test_mp4_where_ffmpeg_is(tmp_path: Path) -> None:
-    animation.write(write(tmp_path / "x.h5"), tmp_path / "film.mp4")
+    animation.write(read(write(tmp_path / "x.h5")), tmp_path / "film.mp4")
     assert (tmp_path / "film.mp4").read_bytes()[4:8] == b"ftyp"

@@ -1,5 +1,6 @@
 """Pictures of bundles: something is drawn, and only what is there."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from tacgen.bundle.force_error import ERROR_BY_MESH, ForceError
 from tacgen.cli import main as cli
 from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import assets, loading
-from tacgen.report import bundle_figure
+from tacgen.report import bundle_figure, frame_curves
 
 
 def labels(path: Path) -> list[str]:
@@ -31,7 +32,7 @@ def pixels(path: Path) -> np.ndarray:
 
 def test_the_picture_is_written_and_not_blank(tmp_path: Path) -> None:
     bundle = write(tmp_path / "x.h5")
-    bundle_figure.picture(bundle, tmp_path / "x.png")
+    bundle_figure.save(bundle_figure.figure(read(bundle)), tmp_path / "x.png")
     seen = pixels(tmp_path / "x.png")[..., :3]
     assert seen.shape[0] > 800
     assert 1200 < seen.shape[1] < 1400  # at a page's width, some 900 pixels, its text is still read
@@ -57,7 +58,7 @@ def test_only_what_is_there_is_drawn(tmp_path: Path, outputs: set[str], rows: li
 def test_no_text_lies_over_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of those in the force's panel and below."""
     monkeypatch.setattr(
-        bundle_figure, "force_error", lambda bundle: ForceError(np.full(bundle.frames, 0.04), ERROR_BY_MESH)
+        frame_curves, "force_error", lambda bundle: ForceError(np.full(bundle.frames, 0.04), ERROR_BY_MESH)
     )
     drawn = bundle_figure.figure(read(write(tmp_path / "x.h5")))
     drawn.canvas.draw()
@@ -152,7 +153,7 @@ def test_a_rejected_scene_says_so(tmp_path: Path, stop: int) -> None:
     assert f"rejected: frame {stop} of 12: Newton's method stalled" in [
         t.get_text() for t in bundle_figure.figure(read(bundle)).texts
     ]
-    bundle_figure.picture(bundle, tmp_path / "x.png")
+    bundle_figure.save(bundle_figure.figure(read(bundle)), tmp_path / "x.png")
     assert pixels(tmp_path / "x.png").std() > 0.01
     assert (
         f"status    rejected (frame {stop} of 12: Newton's method stalled)"
@@ -162,9 +163,9 @@ def test_a_rejected_scene_says_so(tmp_path: Path, stop: int) -> None:
 
 def test_no_picture_without_a_bundle_or_of_an_unknown_kind(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such file"):
-        bundle_figure.picture(tmp_path / "x.h5", tmp_path / "x.png")
+        bundle_figure.only(tmp_path / "x.h5")
     with pytest.raises(UserError, match=r"^\.doc: unknown kind of picture, use one of .*\.png"):
-        bundle_figure.picture(write(tmp_path / "x.h5"), tmp_path / "x.doc")
+        bundle_figure.save(bundle_figure.figure(read(write(tmp_path / "x.h5"))), tmp_path / "x.doc")
 
 
 def test_the_summary_names_the_peaks(tmp_path: Path) -> None:
@@ -188,3 +189,35 @@ def test_the_summary_of_a_mesh_keeps_words_and_columns_apart(tmp_path: Path) -> 
     rows = [line for line in lines if line.startswith(("/frames/", "/mesh/"))]
     assert len(rows) > 10
     assert len({line.rindex("  ") for line in rows}) == 1
+
+
+def test_a_single_frame_fills_the_page_and_shows_its_force(tmp_path: Path) -> None:
+    drawn = bundle_figure.figure(read(write(tmp_path / "x.h5", frames=1)))
+    panels = [axes for axes in drawn.axes if axes.get_images()]
+    places = [axes.get_position() for axes in panels]
+    assert len({round(place.y0, 6) for place in places}) == 1  # side by side
+    assert all(a.x1 < b.x0 for a, b in pairwise(places))
+    assert (places[0].x0 < 0.1, places[-1].x1 > 0.85) == (True, True)
+    (forces,) = [axes for axes in drawn.axes if "force" in axes.get_ylabel()]
+    points = [line for line in forces.lines if line.get_marker() == "o"]
+    assert [len(line.get_xdata()) for line in points] == [1, 1, 1]
+
+
+def test_a_grasp_shows_its_lift_and_its_fall(tmp_path: Path) -> None:
+    lift, fall = np.linspace(0, 5, 12), np.linspace(0, 0.5, 12)
+
+    def grasped(index: int, arrays: dict[str, Any]) -> None:
+        sensor, body = np.eye(4), np.eye(4)
+        sensor[2, 3], body[2, 3] = lift[index], lift[index] - fall[index] - 5
+        arrays |= {"/frames/grasp/sensor": sensor, "/frames/grasp/object": body}
+        arrays["/frames/grasp/mode"] = 2 if index > 9 else 1
+
+    (panel,) = [
+        axes
+        for axes in bundle_figure.figure(read(write(tmp_path / "x.h5", edit=grasped))).axes
+        if "lift" in axes.get_ylabel()
+    ]
+    fingers, body, falls = (np.array(line.get_xydata()) for line in panel.lines)
+    assert fingers[:, 1] == pytest.approx(lift)
+    assert body[:, 1] == pytest.approx(lift - fall)
+    assert falls[:, 0].tolist() == [10, 11]

@@ -8,7 +8,6 @@ from helpers.synthetic import write
 from matplotlib.collections import LineCollection
 from typer.testing import CliRunner
 
-from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import read
 from tacgen.cli import main as cli
 from tacgen.fem.elements import HEX_CORNERS
@@ -90,8 +89,8 @@ def test_what_cannot_be_drawn_is_reported_in_one_line(tmp_path: Path) -> None:
         done = CliRunner().invoke(cli.app, ["show", str(bare), *args])
         assert done.exit_code == 2
         assert words in done.stderr
-    with pytest.raises(UserError, match="unknown kind of picture"):
-        field_figure.picture(write(tmp_path / "y.h5"), "slip", tmp_path / "y.doc")
+    done = CliRunner().invoke(cli.app, ["show", str(write(tmp_path / "y.h5")), "--field", "slip", "-o", "y.doc"])
+    assert (done.exit_code, "unknown kind of picture" in done.stderr) == (2, True)
 
 
 def area(corners: Array) -> float:

@@ -47,7 +47,7 @@ class Links(HTMLParser):
         self.links: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "img", "br"):
+        if tag not in ("meta", "img", "br", "input"):
             self.open.append(tag)
         self.links += [value or "" for name, value in attrs if name in ("src", "href")]
 
@@ -76,15 +76,16 @@ def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: 
     parser.feed(page)
     assert parser.open == []
     assert parser.links
-    assert all(link.startswith(("data:image/jpeg;base64,", "r_scenes/scene-")) for link in parser.links)
+    assert all(link.startswith(("data:image/jpeg;base64,", "r_scenes/scene-", "#")) for link in parser.links)
+    assert {link[1:] for link in parser.links if link[0] == "#"} == set(re.findall(r"<h2 id=(\w+)>", page))
     assert "<h1>many: 6 scenes, 48 frames</h1>" in page
     assert "this cannot be made" in page
     assert "frame # of #: Newton&#x27;s method stalled" in page
     assert "start.x_mm" in page
     assert all(stage in page for stage in ("foresee", "1.5 s", "6.0 s"))
-    points = re.findall(r"<circle", page)
-    assert "<h2>A scene frame by frame</h2><div class=viewer>" in page
-    assert points == []  # one varied number has no pair to be plotted against
+    assert "A scene frame by frame</h2><div class=viewer>" in page
+    coverage = page[page.index("<h2 id=Coverage") : page.index("<h2 id=Forces")]
+    assert "<circle" not in coverage  # one varied number has no pair to be plotted against
 
 
 def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
@@ -93,11 +94,31 @@ def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
         values |= {"sensor.leds[0].power": 1, "sensor.leds[1].power": "low"}
         write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), values=values)
     page = html_report.page(dataset_summary.look(tmp_path))
-    assert len(re.findall(r"<circle", page)) == 12
-    assert "x&lt;y (4)" in page
-    plot = page[page.index("<rect x=65") :]
-    assert re.findall(r">([-\d.]+)</text>", plot)[:6] == ["0.5", "1", "0", "2", "4", "6"]  # ticks of a and b
+    coverage = page[page.index("<h2 id=Coverage") : page.index("<h2 id=Forces")]
+    assert len(re.findall(r"<circle", coverage)) == 12
+    assert "x&lt;y (4)" in coverage
+    (plot,) = re.findall(r"<svg(?:(?!<svg).)*>a</text><text transform[^>]*>b</text></svg>", coverage)
+    assert re.findall(r">([-\d.]+)</text>", plot) == ["0.5", "1", "0", "2", "4", "6"]  # ticks of a and b
     assert "<x" not in page
+
+
+def test_forces_are_curves_by_movement_and_shape_and_points_where_there_is_one_frame(tmp_path: Path):
+    ring = {
+        "recipe": attributes()["recipe"] | {"indenter": {"shape": "torus", "radius_mm": 3.0, "tube_radius_mm": 1.0}}
+    }
+    for k, (count, more) in enumerate(((12, {}), (12, ring), (1, ring))):
+        write(tmp_path / f"scene-{k:05d}.h5", outputs=frozenset({"force"}), frames=count, **more)
+    page = html_report.page(dataset_summary.look(tmp_path))
+    forces = page[page.index("<h2 id=Forces") : page.index("<h2 id=Scenes")]
+    rows = {row.partition("</h3>")[0]: row for row in forces.split("<h3>")[1:]}
+    together, alone = rows["press, slide, hold, twist: 2 scenes"], rows["press: 1 scene"]
+    assert [re.findall(r'<path class="line (\w+)"', plot) for plot in together.split("</svg>")] == [
+        ["c0", "c1"]
+    ] * 3 + [[]]
+    assert [re.findall(r'<circle class="dot (\w+)"', plot) for plot in alone.split("</svg>")] == [["c1"]] * 3 + [[]]
+    assert 'class="line' not in alone
+    for axis in "xyz":
+        assert f">F{axis} [N]<" in alone
 
 
 def test_an_overview_opens_each_bundle_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,6 +140,11 @@ def test_indenters_are_told_in_words_and_counted() -> None:
     balls = [{"shape": "sphere", "radius_mm": 3.0}] * 2 + [{"shape": "mesh", "file": "gear", "scale": 1.0}]
     assert dataset_summary.spread(balls) == "sphere, radius 3 mm (2); gear (1)"
     assert dataset_summary.spread(balls[:1]) == "sphere, radius 3 mm"
+    moves = [{"press": {"depth_mm": 0.8, "frames": 3}}, {"slide": {"x_mm": 0.5, "frames": 3}}]
+    assert dataset_summary.spread([moves]) == "pressed 0.8 mm deep, slid 0.5 mm along x"
+    assert dataset_summary.phrase("start.x_mm", -2.391) == "start.x -2.391 mm"
+    assert dataset_summary.phrase("youngs_modulus_mpa", 0.3) == "youngs modulus 0.3 MPa"
+    assert dataset_summary.phrase("quality", {"edge_mm": 0.5, "spp": 64}) == "quality edge 0.5 mm, spp 64"
     many = [f"sensor {k}" for k in range(15)]
     assert dataset_summary.spread(many).endswith("sensor 11 (1), and 3 more")
 
@@ -127,8 +153,7 @@ def test_captions_tell_what_was_varied_apart(tmp_path: Path):
     values = {"sensor.leds[0].power": 1.0, "sensor.leds[1].power": 1.25, "contact.friction": 0.5}
     write(tmp_path / "scene-00000.h5", values=values)
     page = html_report.page(dataset_summary.look(tmp_path))
-    (caption,) = re.findall(r"</b>.*?<br>(.*)</figure>", page)
-    assert caption == "friction 0.5<br>leds[0].power 1<br>leds[1].power 1.25"
+    assert "<p class=soft>friction 0.5, leds[0].power 1, leds[1].power 1.25</p>" in page
     assert short(["a.b", "b", "c.a.b"]) == {"a.b": "a.b", "b": "b", "c.a.b": "c.a.b"}
 
 

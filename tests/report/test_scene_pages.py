@@ -2,12 +2,14 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.synthetic import write
 from typer.testing import CliRunner
 
+from report.test_viewer import CHROMIUM, browser
 from tacgen.bundle.bundle import read
 from tacgen.cli import main as cli
 from tacgen.report import scene_pages, viewer
@@ -45,7 +47,7 @@ def test_a_folder_is_a_list_with_a_page_of_each_scene(folder: Path, tmp_path: Pa
 
 def test_pictures_of_a_report_lead_to_the_frame_that_they_show(folder: Path) -> None:
     assert tacgen_("report", str(folder)).exit_code == 0
-    links = re.findall(r'<a href="([^"#]+)#frame=(\d+)"><img', (folder / "report.html").read_text())
+    links = re.findall(r'<a target=scene href="([^"#]+)#frame=(\d+)"><img', (folder / "report.html").read_text())
     assert [Path(link).stem for link, _ in links] == ["scene-00000", "scene-00001"]
     for link, frame in links:
         assert int(frame) == viewer.marks(read(folder / f"{Path(link).stem}.h5"))[viewer.LARGEST_FORCE_LABEL]
@@ -69,3 +71,35 @@ def test_a_layer_is_drawn(field: str, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "one.png"
     assert tacgen_("show", str(folder / "scene-00000.h5"), "--field", field, "-o", str(out)).exit_code == 0
     assert out.stat().st_size > 10_000
+
+
+FILTERED = """<script>
+  const all = () => [...document.querySelectorAll(".scene")];
+  const seen = () => all().filter((item) => !item.hidden).map((item) => item.dataset.index);
+  const after = (name, value) => {
+    const field = document.getElementById(name);
+    field.value = value;
+    field.dispatchEvent(new Event("input"));
+    return `${seen()} (${document.getElementById("count").textContent})`;
+  };
+  const steps = [["state", "rejected"], ["state", ""], ["words", "SCENE-00000"], ["words", ""], ["movement", "press"],
+    ["movement", ""]];
+  document.body.append(["USED", ...steps.map(([name, value]) => after(name, value)), after("order", "peak")].join(";"));
+</script></body>"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+@pytest.mark.parametrize("command", ["view", "report"])
+def test_filters_choose_scenes_in_a_browser(command: str, folder: Path) -> None:
+    def harder(index: int, arrays: dict[str, Any]) -> None:
+        arrays["/frames/force"] = 3 * arrays["/frames/force"]
+
+    write(folder / "scene-00002.h5", edit=harder)
+    out = folder.parent / "list.html"
+    assert tacgen_(command, str(folder), "-o", str(out)).exit_code == 0
+    used = folder.parent / "used.html"
+    used.write_text(out.read_text().rpartition("</body>")[0] + FILTERED)
+    shown = browser(used, "", "--dump-dom").rpartition("USED;")[2].partition("<")[0].split(";")
+    every = "0,1,2 (3 of 3)"
+    assert shown == ["1 (1 of 3)", every, "0 (1 of 3)", every, "1 (1 of 3)", every, "2,0,1 (3 of 3)"]
