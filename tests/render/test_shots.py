@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from tacgen import mechanics
 from tacgen.batch import pipeline
+from tacgen.batch.recorder import SceneWork
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.mechanics import mesh
 from tacgen.mechanics.solved_scene import SolvedScene
@@ -118,7 +119,7 @@ def made(one: Row, folder: Path, solution: SolvedScene, device: str | None) -> t
         if event["event"] == "note":
             notes.append(event["note"])
 
-    done = pipeline.run_scene(one, folder / str(device), solution=solution, device=device, on_event=tell)
+    done = pipeline.run_work(SceneWork(one, tell, solution, device), folder / str(device))
     return read(done.path), notes
 
 

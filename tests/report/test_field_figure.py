@@ -79,8 +79,8 @@ def test_what_cannot_be_drawn_is_reported_in_one_line(tmp_path: Path) -> None:
     bare = write(tmp_path / "x.h5", outputs=frozenset({"force"}))
     for args, words in (
         (
-            ("--field", "heat", "-o", "x.png"),
-            "heat: unknown field, did you mean height?; there are: camera, markers, pressure",
+            ("--field", "hight", "-o", "x.png"),
+            "hight: unknown field, did you mean height?; there are: camera, markers, pressure",
         ),
         (("--field", "stress", "-o", "x.png"), "has no /fields/cauchy_stress: the recipe's outputs need stress"),
         (("--field", "slip", "-o", "x.png"), "the recipe's outputs need traction"),
