@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import fit_material, press_faces, press_forces
-from tacgen.calibrate.fit_material import MAX_MODULUS_FACTOR, MaterialFit
-from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
+from tacgen.calibrate import force_curves, material_fit, solved_presses
+from tacgen.calibrate.material_fit import MAX_MODULUS_FACTOR, MaterialFit
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit, digits, moduli
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 from tacgen.report import fit_figures
@@ -134,7 +134,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     Raises:
         UserError: unreadable or unusable input, or a press for which the solver fails.
     """
-    asked, measured, path = asked or Unknowns(), press_forces.read(table), assets.sensor_path(sensor)
+    asked, measured, path = asked or Unknowns(), force_curves.read(table), assets.sensor_path(sensor)
     sets = (f"sensor={path.resolve()}",)
     rows = plan.load(assets.recipe_path(recipe), sets).rows
     if len(rows) != 1:
@@ -144,30 +144,30 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     if asked.terms and measured.time is None:
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
     deepest, start = float(measured.depth.max()), rows[0].recipe.start
-    if said := press_faces.depth_problem(
-        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.FIRST_TOUCH_RANGE
+    if said := solved_presses.depth_problem(
+        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + force_curves.FIRST_TOUCH_RANGE
     ):
         raise UserError(f"{table}: depth_mm: the largest {said}")
-    depths = press_forces.depths_for(deepest)
+    depths = force_curves.depths_for(deepest)
     if asked.second:
         name, values, now = _range(asked.second, rows[0])
         varied = [plan.load(assets.recipe_path(recipe), (*sets, f"{name}={value!r}")).rows[0] for value in values]
-        forces = np.array([press_forces.solved(row, depths) for row in varied])
-        curves = press_forces.Curves(depths, forces, np.array(values))
+        forces = np.array([force_curves.solved(row, depths) for row in varied])
+        curves = force_curves.Curves(depths, forces, np.array(values))
     else:
         name, now = "", None
-        curves = press_forces.Curves(depths, press_forces.solved(rows[0], depths)[None])
+        curves = force_curves.Curves(depths, force_curves.solved(rows[0], depths)[None])
     simpler = {}
     try:
-        fitted = fit_material.fit(curves, measured, zero=asked.zero, terms=asked.terms)
+        fitted = material_fit.fit(curves, measured, zero=asked.zero, terms=asked.terms)
         if wrong := [f"{table}: {said}" for said in _undetermined(fitted, name)]:
             raise UserError(wrong)
         if asked.zero and (name or asked.terms):
-            simpler["modulus and zero"] = fit_material.fit(curves, measured, value=now)
+            simpler["modulus and zero"] = material_fit.fit(curves, measured, value=now)
         if name and (asked.zero or asked.terms):
-            simpler[f"modulus and {name}"] = fit_material.fit(curves, measured, zero=False)
+            simpler[f"modulus and {name}"] = material_fit.fit(curves, measured, zero=False)
         if asked.zero or name or asked.terms:
-            simpler["modulus"] = fit_material.fit(curves, measured, zero=False, value=now)
+            simpler["modulus"] = material_fit.fit(curves, measured, zero=False, value=now)
     except ValueError as error:
         raise UserError(f"{table}: {error}") from None
     return Material(path, rows[0].sensor, _changes(rows[0], asked.path, fitted), asked, fitted, simpler)

@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import fit_lights, fit_scattering
+from tacgen.calibrate import photometric_fit, scattering_fit
 from tacgen.calibrate import photos as reading
-from tacgen.calibrate.light_equations import FitLimits
-from tacgen.calibrate.plausible import Evidence, SensorFit, digits, lit_sensor
-from tacgen.calibrate.unseen import Fitted
+from tacgen.calibrate.cross_validation import Fitted
+from tacgen.calibrate.photometric_model import FitLimits
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit, digits, lit_sensor
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
@@ -97,9 +97,9 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     photos = reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID_FILE_KEY): loading.solid_folder(tree)} if sensor.gel.solid else {}
     if any(layer.scattering for layer in sensor.gel.clear_layers):
-        fitted = fit_scattering.fit(sensor, photos, folders)
+        fitted = scattering_fit.fit(sensor, photos, folders)
     else:
-        fitted = fit_lights.fit(sensor, photos, folders, asked)
+        fitted = photometric_fit.fit(sensor, photos, folders, asked)
     said = _said(photos)
     return Calibrated(path, sensor, changes_of(sensor, fitted, said, bare=asked.bare), said, photos.untouched, fitted)
 

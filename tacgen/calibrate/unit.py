@@ -8,16 +8,23 @@ from typing import Any
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import ball_dents, fit_lights, fit_unit, plausible, press_colours, unseen
+from tacgen.calibrate import (
+    cross_validation,
+    dent_tables,
+    indentation_fit,
+    photometric_fit,
+    press_localisation,
+    sensor_fit,
+)
 from tacgen.calibrate import photos as reading
-from tacgen.calibrate.ball_dents import Dents, with_thickness
-from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
-from tacgen.calibrate.light_equations import FitLimits
+from tacgen.calibrate.cross_validation import Fitted
+from tacgen.calibrate.dent_tables import Dents, with_thickness
+from tacgen.calibrate.indentation_fit import Gauge, HeldOutForces, IndentationFit
 from tacgen.calibrate.optics import changes_of
+from tacgen.calibrate.photometric_model import FitLimits
 from tacgen.calibrate.photos import PRESS_TABLE_FILE, GaugedPhotos, PhotographedPress, Photos
-from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
-from tacgen.calibrate.press_colours import PressPicture, PressView
-from tacgen.calibrate.unseen import Fitted
+from tacgen.calibrate.press_localisation import PressPicture, PressView
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit, digits, moduli
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Untouched
 from tacgen.recipe import assets
@@ -61,8 +68,8 @@ class Unit(SensorFit):
     gauge: Gauge
     drift: float  # share of the pictures' changes that light explains which drifts, without any dent
     asked: Asked
-    fitted: UnitFit
-    judged: tuple[Judged, ...]  # each of some held-out presses
+    fitted: IndentationFit
+    judged: tuple[HeldOutForces, ...]  # each of some held-out presses
     lights: Fitted | None
 
     @property
@@ -83,7 +90,7 @@ class Unit(SensorFit):
         yield f"{self.sensor.name}: fitted to {self.said}"
         yield from (f"  {line}" for line in self.found())
         yield f"  friction {self.asked.friction:g}: assumed"
-        yield (f"pictures: dents of these balls explain {100 * fitted.optics.explained:.0f} % of the change, light that"
+        yield (f"pictures: dents of these balls explain {100 * fitted.scan.explained:.0f} % of the change, light that"
                f" drifts {100 * self.drift:.0f} %")  # fmt: skip
         readings = [press.force for press in self.photos.presses]
         off = sum(abs(a - b) for a, b in zip(fitted.force, readings, strict=True)) / len(readings)
@@ -134,7 +141,7 @@ class Unit(SensorFit):
         every = {"thickness_mm": fitted.thickness, "modulus": fitted.modulus, "zero_n": fitted.zero}
         every |= {f"lag_s {self.photos.recordings[k]}": lag for k, lag in fitted.lags.items()}
         return {
-            "sensor": self.sensor.name, "explained": fitted.optics.explained, "drift": self.drift,
+            "sensor": self.sensor.name, "explained": fitted.scan.explained, "drift": self.drift,
             "estimates": {name: {"value": e.value, "low": e.low, "high": e.high} for name, e in every.items()},
             "presses": [{"file": press.name, "force_n": press.force, "fitted_n": float(force), "depth_mm": float(depth)}
                         for press, force, depth in zip(self.photos.presses, fitted.force, fitted.depth, strict=True)],
@@ -159,8 +166,8 @@ class Unit(SensorFit):
             if error >= guess:
                 no_better = (f"forces of presses that it has not seen are off by {error:.2f} N, and the mean of the"
                              f" seen forces by {guess:.2f} N")  # fmt: skip
-        forces = fitted.force, self.gauge.force, self.gauge.doubt
-        return Evidence(forces, (fitted.optics.explained, self.drift), no_better)
+        forces = fitted.force, self.gauge.force, self.gauge.error_factors
+        return Evidence(forces, (fitted.scan.explained, self.drift), no_better)
 
     def draw(self, out: Path) -> None:
         """Plot fitted over measured forces, seen and unseen, into `out`."""
@@ -172,7 +179,7 @@ class Unit(SensorFit):
 
 
 @dataclass(frozen=True)
-class Work:
+class Inputs:
     """All that the steps share."""
 
     sensor: LitSensor
@@ -184,7 +191,7 @@ class Work:
     dents: tuple[Mapping[float, Dents], ...]  # by tried thickness, then by the ball's radius
 
     @classmethod
-    def of(cls, sensor: LitSensor, photos: GaugedPhotos, asked: Asked) -> "Work":
+    def of(cls, sensor: LitSensor, photos: GaugedPhotos, asked: Asked) -> "Inputs":
         """Solve presses of each ball at each tried thickness; minutes, unless they are in the cache.
 
         Raises UserError: presses that cannot be solved.
@@ -196,7 +203,7 @@ class Work:
         rough = view.starts(pictures)
         step = sensor.gel.thickness_mm / 2  # rounded, so that other presses of the unit find them in the cache
         x, y = (float(step * np.round(v / step)) for v in np.median(rough[:, 1:], axis=0))
-        tried = fit_unit.THICKNESS_FACTORS if asked.thickness else (1.0,)
+        tried = indentation_fit.THICKNESS_FACTORS if asked.thickness else (1.0,)
         dents = []
         for factor in tried:
             one = with_thickness(sensor, factor * sensor.gel.thickness_mm)
@@ -207,32 +214,32 @@ class Work:
                     CONTACT_RADIUS_RATIO
                 )
                 most = round(float(CONTACT_RADIUS_RATIO ** np.ceil(widest)), 3)
-                each[ball] = ball_dents.solved(one, ball, (x, y), most, asked.friction, asked.quality)
+                each[ball] = dent_tables.solved(one, ball, (x, y), most, asked.friction, asked.quality)
             dents.append(each)
         return cls(sensor, photos, asked, view, pictures, gauge, tuple(dents))
 
-    def fitted(self) -> UnitFit:
+    def fitted(self) -> IndentationFit:
         """The fit to all presses. Raises UserError: too few presses."""
-        optics = fit_unit.optics(self.view, self.pictures, self.dents)
+        scan = indentation_fit.thickness_scan(self.view, self.pictures, self.dents)
         try:
-            return fit_unit.fit(optics, self.pictures, self.dents, self.gauge)
+            return indentation_fit.fit(scan, self.pictures, self.dents, self.gauge)
         except ValueError as error:
             raise UserError(f"{self.photos.folder / PRESS_TABLE_FILE}: {error}") from None
 
-    def too_deep(self, found: UnitFit) -> Iterator[str]:
+    def too_deep(self, found: IndentationFit) -> Iterator[str]:
         """A line on each press that is deeper than what is solved."""
-        k = found.optics.between(found.optics.best)[0]
+        k = found.scan.between(found.scan.best)[0]
         for press, picture, depth in zip(self.photos.presses, self.pictures, found.depth, strict=True):
             if depth > DEEPEST_SOLVED_SHARE * (deepest := self.dents[k][picture.ball].depth[-1]):
                 yield (f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
                        f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
 
-    def judged(self) -> tuple[Judged, ...]:
+    def judged(self) -> tuple[HeldOutForces, ...]:
         """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
         names = self.photos.recordings
         group = self.gauge.recording if len(names) > 1 else np.arange(len(self.pictures))
         out = []
-        for held in unseen.folds(int(group.max()) + 1):
+        for held in cross_validation.folds(int(group.max()) + 1):
             where = np.isin(group + 1, held)
             name = (
                 ", ".join(names[k - 1] for k in held)
@@ -240,17 +247,17 @@ class Work:
                 else f"{where.sum()} held out"
             )
             try:
-                _, found = fit_unit.judge(self.view, self.pictures, self.dents, self.gauge, where)
+                found = indentation_fit.held_out_forces(self.view, self.pictures, self.dents, self.gauge, where)
             except ValueError:
                 continue  # the others are too few
             out.append(replace(found, name=name))
         return tuple(out)
 
-    def at_thickness(self, fitted: UnitFit) -> LitSensor:
+    def at_thickness(self, fitted: IndentationFit) -> LitSensor:
         """The sensor with the fitted thickness."""
         return with_thickness(self.sensor, fitted.thickness.value) if self.asked.thickness else self.sensor
 
-    def lights(self, fitted: UnitFit) -> Fitted:
+    def lights(self, fitted: IndentationFit) -> Fitted:
         """The lights of the sensor with the fitted thickness, fitted to how some of the presses at their found depths
         change the picture: the untouched one, with its glare, can be the background of rendered pictures."""
         deep = [k for k in np.argsort(fitted.depth) if fitted.depth[k] > MIN_LIGHT_FIT_DEPTH * fitted.depth.max()]
@@ -259,14 +266,14 @@ class Work:
         photos = Photos(self.photos.folder, self.photos.presses[0].untouched, self._shown(fitted, some))
         untouched = Untouched.of(sensor.gel)
         faces = [fitted.face(untouched, self.dents, self.pictures[n].ball, n) for n in some]
-        return fit_lights.fit_faces(sensor, photos, faces, self.asked.limits, changes=True)
+        return photometric_fit.fit_faces(sensor, photos, faces, self.asked.limits, changes=True)
 
-    def _shown(self, fitted: UnitFit, some: list[int]) -> tuple[PhotographedPress, ...]:
+    def _shown(self, fitted: IndentationFit, some: list[int]) -> tuple[PhotographedPress, ...]:
         """Some presses, shown as changes of the first untouched picture."""
-        best, camera = fitted.optics.between(fitted.optics.best)[0], PinholeCamera.from_sensor(self.sensor)
+        best, camera = fitted.scan.between(fitted.scan.best)[0], PinholeCamera.from_sensor(self.sensor)
         first, out = self.photos.presses[0].untouched, []
         for k in some:
-            press, (_, x, y), depth = self.photos.presses[k], fitted.optics.placed[best].at[k], float(fitted.depth[k])
+            press, (_, x, y), depth = self.photos.presses[k], fitted.scan.placed[best].at[k], float(fitted.depth[k])
             center = camera.project([[x, y, -depth]])[0]
             contact = self.dents[best][press.ball].contact_at(depth) / camera.mm_per_px
             shown = np.clip(first + (press.picture.astype(float) - press.untouched), 0, 255).astype(np.uint8)
@@ -284,29 +291,29 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     asked, path = asked or Asked(), assets.sensor_path(name)
     if not 0 <= asked.friction <= 10:  # nor nan
         raise UserError(f"--friction: must be from 0 to 10 (got {asked.friction:g})")
-    sensor, _ = plausible.lit_sensor(path)
+    sensor, _ = sensor_fit.lit_sensor(path)
     if sensor.gel.solid is not None or any(layer.scattering for layer in sensor.gel.clear_layers):
         raise UserError(f"{path}: gel: must be a pad that is clear: the rim of a contact shows on such a gel alone")
     photos = reading.read_gauged(folder, sensor.camera)
-    work = Work.of(sensor, photos, asked)
+    work = Inputs.of(sensor, photos, asked)
     raw = work.fitted()
-    drift = press_colours.drift(work.pictures, work.gauge.recording, work.gauge.time)
+    drift = press_localisation.drift(work.pictures, work.gauge.recording, work.gauge.time)
     if wrong := [*work.too_deep(raw), *_undetermined(raw, folder / PRESS_TABLE_FILE)]:
-        no_dents = plausible.no_dents(raw.optics.explained, drift)
+        no_dents = sensor_fit.no_dents(raw.scan.explained, drift)
         raise UserError(f"{folder / PRESS_TABLE_FILE}: {no_dents}" if no_dents else wrong)
-    fitted = fit_unit.corrected(raw, work.at_thickness(raw), work.view, work.pictures, work.dents, work.gauge)
+    fitted = indentation_fit.corrected(raw, work.at_thickness(raw), work.view, work.pictures, work.dents, work.gauge)
     judged, lights = work.judged(), work.lights(fitted) if asked.lights else None
     made = Unit(path, sensor, {}, photos, work.gauge, drift, asked, fitted, judged, lights)
     return replace(made, changes=_changes(made, work.at_thickness(fitted)))
 
 
-def _undetermined(fitted: UnitFit, table: Path) -> Iterator[str]:
+def _undetermined(fitted: IndentationFit, table: Path) -> Iterator[str]:
     """A line on each number that the presses do not determine, and what to measure."""
-    if (share := fitted.optics.explained) < MIN_EXPLAINED_SHARE:
+    if (share := fitted.scan.explained) < MIN_EXPLAINED_SHARE:
         yield (f"{table}: dents of these balls explain {100 * share:.0f} % of the pictures' change: are"
                " radii, mm_per_px and the untouched picture right?")  # fmt: skip
         return
-    tried = fitted.optics.thickness
+    tried = fitted.scan.thickness
     for name in fitted.open:
         reach = f" within {tried[0]:.3g} to {tried[-1]:.3g} mm" if name == "thickness" else ""
         yield f"{table}: {name}: is not determined{reach} by these presses: {UNIT_MEASURE_HINTS[name.split()[0]]}"

@@ -19,9 +19,16 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import isotonic_regression
 from scipy.stats import t as student
 
-from tacgen.calibrate.ball_dents import HERTZ_FORCE_POWER, Dents
-from tacgen.calibrate.fit_material import CONFIDENCE_LEVEL, MAX_MODULUS_FACTOR, Estimate, Unknown, estimated
-from tacgen.calibrate.press_colours import Placed, PressPicture, PressView, located, placed, richness
+from tacgen.calibrate.dent_tables import HERTZ_FORCE_POWER, Dents
+from tacgen.calibrate.material_fit import CONFIDENCE_LEVEL, MAX_MODULUS_FACTOR, Estimate, Unknown, estimated
+from tacgen.calibrate.press_localisation import (
+    LocatedPresses,
+    PressPicture,
+    PressView,
+    colours_vary,
+    located,
+    located_with_best_blur,
+)
 from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
@@ -56,7 +63,7 @@ class Gauge:
         return [int(k) for k in np.unique(self.recording) if np.isfinite(self.time[self.recording == k]).sum() > 2]
 
     @property
-    def doubt(self) -> Array:
+    def error_factors(self) -> Array:
         """Factors (n,) on the errors of readings: a gauge whose lag varies errs most where the force changes fast."""
         out = np.ones(len(self.force))
         for k in self.timed:
@@ -70,7 +77,7 @@ class Gauge:
         """Some of the readings."""
         return Gauge(self.force[where], self.recording[where], self.time[where])
 
-    def late(self, force: Array, lags: Mapping[int, float]) -> Array:
+    def lagged(self, force: Array, lags: Mapping[int, float]) -> Array:
         """Forces (n,) at the times of the pictures, as a gauge with these lags [s] reads them."""
         out = force.astype(float).copy()
         for k, lag in lags.items():
@@ -81,11 +88,11 @@ class Gauge:
 
 
 @dataclass(frozen=True)
-class Optics:
+class ThicknessScan:
     """Pictures placed at each tried thickness: where the misfit is least, and with what error."""
 
     thickness: Array  # (t,) [mm]
-    placed: tuple[Placed, ...]
+    placed: tuple[LocatedPresses, ...]
     rich: bool  # whether colours vary over the picture
     best: float  # logarithm of the thickness
     spread: float  # its standard error
@@ -119,20 +126,20 @@ class Optics:
         return sum(share * value for value, share in self.parts(values, at))
 
 
-def optics(view: PressView, pictures: Pictures, dents: Tried, *, rich: bool | None = None) -> Optics:
+def thickness_scan(view: PressView, pictures: Pictures, dents: Tried, *, rich: bool | None = None) -> ThicknessScan:
     """The thickness that suits the pictures best.
 
     Args:
         dents: for each tried thickness, in rising order, by the ball's radius.
         rich: whether colours vary over the picture; None: as suits unseen presses best.
     """
-    rich = richness(view, pictures, dents[len(dents) // 2]) if rich is None else rich
-    found: list[Placed] = []
+    rich = colours_vary(view, pictures, dents[len(dents) // 2]) if rich is None else rich
+    found: list[LocatedPresses] = []
     for each in dents:
-        found.append(placed(view, pictures, each, rich, found[-1] if found else None))
+        found.append(located_with_best_blur(view, pictures, each, rich, found[-1] if found else None))
     thickness = np.array([next(iter(each.values())).thickness for each in dents])
     if len(dents) == 1:
-        return Optics(thickness, tuple(found), rich, float(np.log(thickness[0])), 0.0, 1)
+        return ThicknessScan(thickness, tuple(found), rich, float(np.log(thickness[0])), 0.0, 1)
     misfit = np.array([one.misfit for one in found])  # (t, n, SECTORS)
     groups = np.array([one.recording for one in pictures])
     parts = np.array([misfit[:, groups == g].sum(axis=1) for g in np.unique(groups)])  # (recordings, t, SECTORS)
@@ -140,7 +147,7 @@ def optics(view: PressView, pictures: Pictures, dents: Tried, *, rich: bool | No
     whole, n = parts.sum(axis=1), parts.shape[1]
     without = np.array([_lowest(thickness, whole - parts[:, k]) for k in range(n)])
     spread = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
-    return Optics(
+    return ThicknessScan(
         thickness, tuple(found), rich, _lowest(thickness, whole), float(np.hypot(spread, THICKNESS_METHOD_ERROR)), n - 1
     )
 
@@ -179,10 +186,10 @@ class DentFace:
 
 
 @dataclass(frozen=True)
-class UnitFit:
+class IndentationFit:
     """Estimates; the gauge's readings as fitted (n,) [N] and the depths of the presses (n,) [mm]."""
 
-    optics: Optics
+    scan: ThicknessScan
     thickness: Estimate  # [mm]
     modulus: Estimate  # factor on the file's
     zero: Estimate  # [N]
@@ -197,38 +204,38 @@ class UnitFit:
 
     def face(self, untouched: Surface, dents: Tried, ball: float, press: int, blur: float = 0.0) -> DentFace:
         """The face under a press, given by its number and its ball's radius [mm]; `blur` [mm]: of its slopes."""
-        both = self.optics.parts([each[ball] for each in dents])
-        _, x, y = self.optics.placed[self.optics.between(self.optics.best)[0]].at[press]
+        both = self.scan.parts([each[ball] for each in dents])
+        _, x, y = self.scan.placed[self.scan.between(self.scan.best)[0]].at[press]
         return DentFace(untouched, both, (float(self.depth[press]), float(x), float(y)), blur)
 
 
-def fit(optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge) -> UnitFit:
+def fit(scan: ThicknessScan, pictures: Pictures, dents: Tried, gauge: Gauge) -> IndentationFit:
     """All numbers of a unit. Raises ValueError: fewer presses than numbers to find, and one more."""
-    half = float(student.ppf((1 + CONFIDENCE_LEVEL) / 2, optics.freedom)) * optics.spread
-    low, high = np.log(optics.thickness[[0, -1]])
-    out = half > 0 and (not low < optics.best < high or (optics.best - half <= low and optics.best + half >= high))
-    value, least, most = np.exp(optics.best + half * np.array([0, -1, 1])).tolist()
+    half = float(student.ppf((1 + CONFIDENCE_LEVEL) / 2, scan.freedom)) * scan.spread
+    low, high = np.log(scan.thickness[[0, -1]])
+    out = half > 0 and (not low < scan.best < high or (scan.best - half <= low and scan.best + half >= high))
+    value, least, most = np.exp(scan.best + half * np.array([0, -1, 1])).tolist()
     thickness = Estimate("thickness", value, least, most, open=bool(out))
-    estimates, values = _forces(optics, pictures, dents, gauge, optics.best)
+    estimates, values = _forces(scan, pictures, dents, gauge, scan.best)
     modulus, share = estimates[0], 0.0
     if half and not out:  # the thickness's error is carried over
-        ends = np.clip(optics.best + np.array([-1, 1]) * optics.spread, low, high)
-        moved = [np.log(_forces(optics, pictures, dents, gauge, float(end))[0][0].value) for end in ends]
+        ends = np.clip(scan.best + np.array([-1, 1]) * scan.spread, low, high)
+        moved = [np.log(_forces(scan, pictures, dents, gauge, float(end))[0][0].value) for end in ends]
         share = half * (moved[1] - moved[0]) / float(ends[1] - ends[0])
     reach = [np.exp(np.log(modulus.value) + side * np.hypot(np.log(end / modulus.value), share))
             for side, end in ((-1, modulus.low), (1, modulus.high))]  # fmt: skip
     unsure = not 2 / MAX_MODULUS_FACTOR < modulus.value < MAX_MODULUS_FACTOR / 2 or modulus.open
     modulus = Estimate("modulus", modulus.value, float(reach[0]), float(reach[1]), modulus.bound, unsure)
     lags = dict(zip(gauge.timed, estimates[2:], strict=True))
-    depth = optics.mixed([one.at[:, 0] for one in optics.placed])
-    return UnitFit(optics, thickness, modulus, estimates[1], lags, values, depth)
+    depth = scan.mixed([one.at[:, 0] for one in scan.placed])
+    return IndentationFit(scan, thickness, modulus, estimates[1], lags, values, depth)
 
 
 def _forces(
-    optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge, at: float
+    scan: ThicknessScan, pictures: Pictures, dents: Tried, gauge: Gauge, at: float
 ) -> tuple[tuple[Estimate, ...], Array]:
     """Estimates of modulus, zero and lags at one thickness, and the fitted readings (n,) [N]."""
-    unit = unit_forces(optics, optics.placed, pictures, dents, at)
+    unit = unit_forces(scan, scan.placed, pictures, dents, at)
     most = float(np.abs(gauge.force).max())
     names = ["modulus", "zero", *(f"lag {k}" for k in gauge.timed)]
     if len(gauge.force) <= len(names):
@@ -243,23 +250,25 @@ def _forces(
                 *(Unknown(name, 0.0, -MAX_GAUGE_LAG_S, MAX_GAUGE_LAG_S) for name in names[2:])]  # fmt: skip
 
     def force(v: Array) -> Array:
-        return np.asarray(v[1] + np.exp(v[0]) * gauge.late(unit, dict(zip(gauge.timed, v[2:], strict=True))))
+        return np.asarray(v[1] + np.exp(v[0]) * gauge.lagged(unit, dict(zip(gauge.timed, v[2:], strict=True))))
 
-    estimates, _, best = estimated(force, gauge.force, unknowns, gauge.doubt)
+    estimates, _, best = estimated(force, gauge.force, unknowns, gauge.error_factors)
     return estimates, force(best)
 
 
-def unit_forces(optics: Optics, seen: Sequence[Placed | None], pictures: Pictures, dents: Tried, at: float) -> Array:
+def unit_forces(
+    scan: ThicknessScan, seen: Sequence[LocatedPresses | None], pictures: Pictures, dents: Tried, at: float
+) -> Array:
     """Forces (n,) [N] at the file's moduli of presses placed at each thickness (next to `at` at least), at thickness
     exp(at) [mm]."""
     rooted = [np.zeros(len(pictures)) if one is None else np.array([
         float(each[p.ball].force_at(d)) ** HERTZ_FORCE_POWER for p, d in zip(pictures, one.at[:, 0], strict=True)])
         for one, each in zip(seen, dents, strict=True)]  # fmt: skip
-    return np.asarray(optics.mixed(rooted, at) ** (1 / HERTZ_FORCE_POWER))
+    return np.asarray(scan.mixed(rooted, at) ** (1 / HERTZ_FORCE_POWER))
 
 
 @dataclass(frozen=True)
-class Judged:
+class HeldOutForces:
     """Readings (n,) [N] of presses held out from a fit, and their forces predicted from the pictures alone."""
 
     force: Array
@@ -281,52 +290,52 @@ class Judged:
         return float(np.abs(said - self.force).mean())
 
 
-def predict(fitted: UnitFit, view: PressView, pictures: Pictures, dents: Tried) -> tuple[Array, Array]:
+def predict(fitted: IndentationFit, view: PressView, pictures: Pictures, dents: Tried) -> tuple[Array, Array]:
     """Forces (n,) [N] of unseen pictures, without the gauge's zero: with colours fitted to these pictures if there are
     enough of them, and with the colours of the seen pictures.
 
     Contrast varies over the pad: presses at one place do not determine it at another.
     """
-    optics, start = fitted.optics, view.starts(pictures)
-    near = optics.between(optics.best)[0]
-    seen: list[Placed | None] = [None] * len(dents)
+    scan, start = fitted.scan, view.starts(pictures)
+    near = scan.between(scan.best)[0]
+    seen: list[LocatedPresses | None] = [None] * len(dents)
     for k in {near, min(near + 1, len(dents) - 1)}:
-        one = optics.placed[k]
-        seen[k] = located(view, pictures, dents[k], start, one.blur, optics.rich, one.colours)
+        one = scan.placed[k]
+        seen[k] = located(view, pictures, dents[k], start, one.blur, scan.rich, one.colours)
     own = seen
     if len(pictures) >= MIN_OWN_COLOUR_PICTURES:
-        own = [None if one is None else located(view, pictures, each, one.at, one.blur, optics.rich)
+        own = [None if one is None else located(view, pictures, each, one.at, one.blur, scan.rich)
                for one, each in zip(seen, dents, strict=True)]  # fmt: skip
-    forces = [fitted.modulus.value * unit_forces(optics, one, pictures, dents, optics.best) for one in (own, seen)]
+    forces = [fitted.modulus.value * unit_forces(scan, one, pictures, dents, scan.best) for one in (own, seen)]
     return forces[0], forces[1]
 
 
-def judge(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held: Array) -> tuple[UnitFit, Judged]:
+def held_out_forces(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held: Array) -> HeldOutForces:
     """Fit the presses that are not `held` (n,) bool, and judge those."""
     seen, unseen = ([p for p, chosen in zip(pictures, w, strict=True) if chosen] for w in (~held, held))
     known, asked = gauge.part(~held), gauge.part(held)
-    fitted = fit(optics(view, seen, dents), seen, dents, known)
+    fitted = fit(thickness_scan(view, seen, dents), seen, dents, known)
     said, foreign = (fitted.zero.value + forces for forces in predict(fitted, view, unseen, dents))
-    late = _late(asked, said)
+    late = _aligned(asked, said)
     order = np.argsort(late, kind="stable")
     rising = np.empty_like(late)
     rising[order] = isotonic_regression(asked.force[order]).x
     floor = np.full(len(late), known.force.mean())
-    return fitted, Judged(asked.force, late, said, _late(asked, foreign), floor, rising)
+    return HeldOutForces(asked.force, late, said, _aligned(asked, foreign), floor, rising)
 
 
-def _late(gauge: Gauge, said: Array) -> Array:
+def _aligned(gauge: Gauge, said: Array) -> Array:
     """Forces as the gauge reads them, with the lag of each timed recording with which they are nearest its readings."""
     tried, lags = np.linspace(-MAX_GAUGE_LAG_S, MAX_GAUGE_LAG_S, 161), {}
     for k in gauge.timed:
-        off = [np.abs(gauge.late(said, {k: lag}) - gauge.force).sum() for lag in tried]
+        off = [np.abs(gauge.lagged(said, {k: lag}) - gauge.force).sum() for lag in tried]
         lags[k] = float(tried[int(np.argmin(off))])
-    return gauge.late(said, lags)
+    return gauge.lagged(said, lags)
 
 
 def corrected(
-    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge
-) -> UnitFit:
+    found: IndentationFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge
+) -> IndentationFit:
     """The fit less the error that the method makes on pictures whose numbers are known.
 
     The polynomial of the colours is not the light's exact response, which shifts thickness and depths, alike in
@@ -335,7 +344,7 @@ def corrected(
     """
     steady = Gauge(gauge.force, gauge.recording, np.full(len(gauge.force), np.nan))
     again = _again(found, sensor, view, pictures, dents, steady, 0.0)
-    mine, lights = found.optics.blur, again.optics.blur
+    mine, lights = found.scan.blur, again.scan.blur
     if mine > MAX_LIGHT_BLUR_RATIO * lights:  # the real rims are softer than the solved ones
         again = _again(found, sensor, view, pictures, dents, steady, float(np.sqrt(mine**2 - lights**2)))
     thickness, modulus = (_ratio(one, other.value) for one, other in
@@ -348,8 +357,14 @@ def corrected(
 
 
 def _again(
-    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, blur: float
-) -> UnitFit:
+    found: IndentationFit,
+    sensor: LitSensor,
+    view: PressView,
+    pictures: Pictures,
+    dents: Tried,
+    gauge: Gauge,
+    blur: float,
+) -> IndentationFit:
     """The fit to rendered pictures of the presses as found, with forces as of the file's moduli times the found."""
     camera, random = Renderer(sensor, BIAS_SPP, 0, markers=False), np.random.default_rng(0)
     flat, made, forces = camera.develop(camera.flat(), random), [], []
@@ -359,7 +374,7 @@ def _again(
         rooted = sum(share * float(one.force_at(found.depth[n])) ** HERTZ_FORCE_POWER for one, share in face.dents)
         forces.append(rooted ** (1 / HERTZ_FORCE_POWER))
     read = found.zero.value + found.modulus.value * np.array(forces)
-    return fit(optics(view, made, dents, rich=found.optics.rich), made, dents, replace(gauge, force=read))
+    return fit(thickness_scan(view, made, dents, rich=found.scan.rich), made, dents, replace(gauge, force=read))
 
 
 def _ratio(one: Estimate, again: float) -> Estimate:

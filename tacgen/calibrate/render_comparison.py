@@ -10,7 +10,7 @@ import numpy as np
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.photos import PhotographedPress
-from tacgen.calibrate.press_faces import mean_curvature
+from tacgen.calibrate.solved_presses import mean_curvature
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent

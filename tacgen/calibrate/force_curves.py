@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from tacgen import mechanics
 from tacgen.base import csv_table
 from tacgen.base.errors import UserError
-from tacgen.calibrate import press_faces
+from tacgen.calibrate import solved_presses
 from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment
 
@@ -67,7 +67,7 @@ def solved(row: Row, depths: Array) -> Array:
     recipe = row.recipe.model_copy(update={"trajectory": presses, "dynamics": None})
     forces: list[float] = []
     try:
-        _, states = press_faces.solved_states(replace(row, recipe=recipe))
+        _, states = solved_presses.solved_states(replace(row, recipe=recipe))
         forces.extend(mechanics.normal_force(state) for state in states)
     except mechanics.NotConverged as error:
         raise UserError(f"{row.recipe.name}: at a depth of {depths[len(forces)]:.3g} mm: {error}") from None

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize_scalar
 
-from tacgen.calibrate.ball_dents import Dents
+from tacgen.calibrate.dent_tables import Dents
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Untouched
 from tacgen.sensor.model import LitSensor
@@ -58,7 +58,7 @@ class PressPicture:
 
 
 @dataclass(frozen=True)
-class Placed:
+class LocatedPresses:
     """Where presses lie, for a gel of one thickness, and what is left of their pictures."""
 
     at: Array  # (n, 3): depth, x, y [mm]
@@ -152,13 +152,13 @@ class PressView:
         return np.asarray(np.minimum((MISFIT_SECTORS * angle).astype(int), MISFIT_SECTORS - 1))
 
 
-def placed(
+def located_with_best_blur(
     view: PressView,
     pictures: Sequence[PressPicture],
     dents: Mapping[float, Dents],
     rich: bool,
-    near: Placed | None = None,
-) -> Placed:
+    near: LocatedPresses | None = None,
+) -> LocatedPresses:
     """Depths and centres of presses with the colours and the blur that suit them best.
 
     Args:
@@ -184,7 +184,7 @@ def placed(
     return best
 
 
-def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> bool:
+def colours_vary(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> bool:
     """Whether colours that vary over the picture suit unseen recordings better than those that hardly do.
 
     Recordings are left out in turn, at the depths and centres found with the simpler ones; with one recording, no.
@@ -209,7 +209,7 @@ def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[f
 def located(
     view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], start: Array, blur: float,
     rich: bool, colours: Array | None = None, rounds: int = MAX_COLOUR_ROUNDS,
-) -> Placed:  # fmt: skip
+) -> LocatedPresses:  # fmt: skip
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
     at, found, moving = start.copy(), colours, np.ones(len(pictures), bool)
     tables = [view.columns(dents[p.ball], a, blur, rich) for p, a in zip(pictures, at, strict=True)]
@@ -234,7 +234,7 @@ def located(
         np.bincount(view.sector(a), ((t @ found - p.change) ** 2).sum(axis=1), MISFIT_SECTORS)
         for t, p, a in zip(tables, pictures, at, strict=True)
     ]
-    return Placed(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
+    return LocatedPresses(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
 
 
 def _colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich: bool) -> Array:

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import press_faces
-from tacgen.calibrate import unseen as judging
-from tacgen.calibrate.likeness import ChangeLikeness
+from tacgen.calibrate import cross_validation as judging
+from tacgen.calibrate import solved_presses
+from tacgen.calibrate.cross_validation import Fitted, HeldOutPresses, folds, rgb, rms
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.unseen import Fitted, Unseen, folds, rgb, rms
+from tacgen.calibrate.render_comparison import ChangeLikeness
 from tacgen.optics import camera_response, scattering
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView
@@ -101,7 +101,7 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
         raise UserError(
             f"{photos.folder / name}: needs depth_mm: through a gel that scatters no edge shows" for name in shallow
         )
-    press_faces.check(sensor, photos, DEPTH_FACTORS[-1])
+    solved_presses.check(sensor, photos, DEPTH_FACTORS[-1])
     light = images.Renderer(sensor, FIT_SPP, 0, False).light
     assert isinstance(light, images.Cloudy)
     maps = light.maps
@@ -130,7 +130,7 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
     ])  # fmt: skip
     number = int(np.argmin(counts[1:].mean(axis=1)))
     alike = [renders.likeness(held_out, choices) for choices in (start, tried[number])]
-    unseen = Unseen(
+    unseen = HeldOutPresses(
         tuple(photos.presses[k] for k in held_out),
         tuple(renders.faces[k][i] for k, (_, i) in zip(held_out, tried[number], strict=True)),
         tuple(renders.sensor(response) for response, _ in tried[number]), counts[[0, number + 1]], (alike[0], alike[1]),
@@ -154,7 +154,9 @@ class Renders:
             else scattering.gain(file, np.array(GAIN_THICKNESS_CHANGES_MM))
         )
         depths = [[factor * (press.depth or 0.0) for factor in DEPTH_FACTORS] for press in photos.presses]
-        self.faces = [press_faces.solved(self.made, *one, folders) for one in zip(photos.presses, depths, strict=True)]
+        self.faces = [
+            solved_presses.solved(self.made, *one, folders) for one in zip(photos.presses, depths, strict=True)
+        ]
         renderer = images.Renderer(self.made, FIT_SPP, 0, False)
         pairs = zip(photos.presses, self.faces, strict=True)
         self.seen = [_seen(self.made, renderer, photos, *pair) for pair in pairs]  # by press, then by factor

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tacgen.base.errors import UserError
+from tacgen.calibrate.cross_validation import rgb
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.unseen import rgb
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import heights
@@ -75,7 +75,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Looked:
+class ViewedFace:
     """Where the camera's rays meet the face of a picture."""
 
     view: CameraView
@@ -94,7 +94,7 @@ def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
     return strip_light.points(one, along, across)
 
 
-class Trials:
+class PhotometricModel:
     """Misfit between photographs and trial sensors."""
 
     def __init__(
@@ -199,14 +199,14 @@ class Trials:
                 return tried
         return led
 
-    def _looked(self, picture: int, crop: tuple[float, ...]) -> "Looked":
+    def _looked(self, picture: int, crop: tuple[float, ...]) -> "ViewedFace":
         eye = self.sensor.camera
         moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
         sensor = self.sensor.model_copy(update={"camera": moved})
         view = CameraView(sensor, self.sheet, False)
         at = view.look(self.pictures[picture].face)
         terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
-        return Looked(view, at, view.toward_camera(), view.transmission(), terrain)
+        return ViewedFace(view, at, view.toward_camera(), view.transmission(), terrain)
 
     def _lit(self, picture: int, led: int, parts: tuple[float, ...], rough: float, crop: tuple[float, ...]) -> Array:
         """Direct light of one LED of unit radiance on a diffuse white coating and on a specular one, and its

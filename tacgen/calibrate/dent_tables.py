@@ -13,8 +13,8 @@ from scipy.ndimage import gaussian_filter1d
 from tacgen import mechanics
 from tacgen.base import array_cache
 from tacgen.base.errors import UserError
-from tacgen.calibrate import press_faces
-from tacgen.calibrate.press_faces import MAX_PRESS_DEPTH_RATIO, MIN_PRESS_DEPTH_RATIO
+from tacgen.calibrate import solved_presses
+from tacgen.calibrate.solved_presses import MAX_PRESS_DEPTH_RATIO, MIN_PRESS_DEPTH_RATIO
 from tacgen.optics.surface_grid import Untouched
 from tacgen.outputs import gel_surface
 from tacgen.sensor.model import LitSensor
@@ -122,7 +122,7 @@ def _solved(
 ) -> tuple[Array, ...]:
     """The arrays of Dents."""
     aims = [{"depth_mm": float(depth)} for depth in depths]
-    problem, states = press_faces.solved_states(press_faces.press_row(sensor, ball, at, aims, quality, friction))
+    problem, states = solved_presses.solved_states(solved_presses.press_row(sensor, ball, at, aims, quality, friction))
     untouched, found = gel_surface.seen(problem.mesh, len(sensor.gel.clear_layers)), []
     try:
         for state, depth in zip(states, depths, strict=False):

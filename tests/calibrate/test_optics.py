@@ -14,9 +14,9 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import optics, photos, press_faces
-from tacgen.calibrate.light_equations import FitLimits
-from tacgen.calibrate.likeness import Likeness
+from tacgen.calibrate import optics, photos, solved_presses
+from tacgen.calibrate.photometric_model import FitLimits
+from tacgen.calibrate.render_comparison import Likeness
 from tacgen.cli import main as cli
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
@@ -60,7 +60,7 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def few_dents(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests that look whether normals are judged, not at their error: the network learns from few."""
-    monkeypatch.setattr("tacgen.calibrate.likeness.TRAINING_DENTS", 4)
+    monkeypatch.setattr("tacgen.calibrate.render_comparison.TRAINING_DENTS", 4)
     monkeypatch.setattr("tacgen.calibrate.normal_net.TRAINING_SAMPLES", 500)
     monkeypatch.setattr("tacgen.calibrate.normal_net.MAX_LBFGS_STEPS", 20)
 
@@ -76,7 +76,7 @@ def no_normals(monkeypatch: pytest.MonkeyPatch) -> None:
             one = np.ones(3)
             return Likeness(one, one, one, 1.0, 1.0, 1.0, np.ones(len(presses)))
 
-    monkeypatch.setattr("tacgen.calibrate.fit_lights.Comparison", Alike)
+    monkeypatch.setattr("tacgen.calibrate.photometric_fit.Comparison", Alike)
 
 
 @pytest.mark.slow
@@ -148,7 +148,7 @@ def test_dots_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr("tacgen.calibrate.fit_scattering.FIT_SPP", 6)
+    monkeypatch.setattr("tacgen.calibrate.scattering_fit.FIT_SPP", 6)
     panel = {**cloudy().leds[0].model_dump(), "size_mm": [6, 10]}
     leds = [{**panel, "name": name, "center_mm": [x, 0, -4.35]} for name, x in (("left", -3), ("right", 3))]
     path = written(cloudy(leds=leds), tmp_path / "cloudy.yaml")
@@ -166,8 +166,8 @@ def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Photographs of a unit whose press is 4 % deeper than its table says."""
-    monkeypatch.setattr("tacgen.calibrate.fit_scattering.FIT_SPP", 6)
-    monkeypatch.setattr("tacgen.calibrate.fit_scattering.DEPTH_FACTORS", (0.96, 1.0, 1.04))
+    monkeypatch.setattr("tacgen.calibrate.scattering_fit.FIT_SPP", 6)
+    monkeypatch.setattr("tacgen.calibrate.scattering_fit.DEPTH_FACTORS", (0.96, 1.0, 1.04))
     table = {"change_mm": (-1.0, 0.0, 0.3), "gain": ((0.6, 0.7, 0.8), (1, 1, 1), (1.3, 1.2, 1.1)), "source": "test"}
     camera = {"width_px": 80, "height_px": 64, "mm_per_px": 0.1, "vignette_mm": None}
     path = written(cloudy(camera=camera), tmp_path / "cloudy.yaml")
@@ -175,7 +175,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
     folder = photographed(unit, tmp_path / "unit", ())
     press = photos.PhotographedPress("press.png", np.zeros(0), 3.0, (42.0, 30.0), None, 0.8)
     made = images.Renderer(unit, 6, 0, False)
-    (face,) = press_faces.solved(unit, press, [0.832], {})
+    (face,) = solved_presses.solved(unit, press, [0.832], {})
     Image.fromarray(made.develop(made.flat())).save(folder / "background.png")  # of the same maps as the press
     Image.fromarray(made.develop(made.image(face))).save(folder / "press.png")
     (folder / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,depth_mm\npress.png,3.0,42,30,0.8\n")
@@ -251,9 +251,9 @@ def _swap(folder: Path, old: str, new: str) -> None:
 def test_a_press_of_known_depth_is_solved_also_where_its_contact_is_known():
     sensor, _ = loading.read_sensor(assets.sensor_path("gelsight_mini"))
     press = photos.PhotographedPress("p.png", np.zeros((240, 320, 3), np.uint8), 3.0, (160.0, 120.0), 25.0, None)
-    assert isinstance(press_faces.face(sensor, press, {}), BallDent)
-    face = press_faces.face(sensor, replace(press, depth=0.5), {})
-    under = np.array([press_faces.place(sensor, press.center, 0.5)])
+    assert isinstance(solved_presses.face(sensor, press, {}), BallDent)
+    face = solved_presses.face(sensor, replace(press, depth=0.5), {})
+    under = np.array([solved_presses.place(sensor, press.center, 0.5)])
     assert face.at(under)[0, 2] == pytest.approx(-0.5, abs=0.03)
 
 
@@ -277,7 +277,7 @@ def test_presses_may_give_depth_or_contact_or_both(
         assert depths == [0.5]
         return [BallDent.seen(PinholeCamera.from_sensor(sensor), press.ball, press.center, contacts[press.center])]
 
-    monkeypatch.setattr(press_faces, "solved", solved)
+    monkeypatch.setattr(solved_presses, "solved", solved)
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
     rows = ["file,ball_radius_mm,x_px,y_px,contact_radius_px,depth_mm"]
     for k, (ball, (x, y), contact) in enumerate(PRESSES[:3]):
@@ -307,7 +307,7 @@ def test_a_brighter_unit_is_found_by_presses_of_known_depth_or_force_on_a_dome(
     for k, (ball, center, _) in enumerate(PRESSES[:2]):
         known = {"depth": value, "force": None} if column == "depth_mm" else {"depth": None, "force": value}
         press = photos.PhotographedPress("", np.zeros(0), ball, center, None, **known)
-        Image.fromarray(made.develop(made.image(press_faces.face(unit, press, {})))).save(folder / f"{k}.png")
+        Image.fromarray(made.develop(made.image(solved_presses.face(unit, press, {})))).save(folder / f"{k}.png")
         rows.append(f"{k}.png,{ball},{center[0]},{center[1]},{value}")
     (folder / "presses.csv").write_text("\n".join([f"file,ball_radius_mm,x_px,y_px,{column}", *rows]))
     found = optics.optics(str(path), folder, FitLimits(0, 0))
@@ -331,7 +331,7 @@ def test_a_brighter_unit_is_found_by_presses_of_known_depth_or_force_on_a_dome(
 def test_presses_that_no_gel_bears_are_refused_before_any_is_solved(
     nominal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str, says: str
 ) -> None:
-    monkeypatch.setattr(press_faces, "solved", lambda *_: pytest.fail("is solved"))
+    monkeypatch.setattr(solved_presses, "solved", lambda *_: pytest.fail("is solved"))
     for k, grey in enumerate((90, 110)):
         picture = np.full((64, 80, 3), 90, np.uint8)
         picture[20:40, 30:60] = grey

@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 from scipy.special import exprel
 from scipy.stats import t as student
 
-from tacgen.calibrate.plausible import off
-from tacgen.calibrate.press_forces import FIRST_TOUCH_RANGE, Curves, Measured
+from tacgen.calibrate.force_curves import FIRST_TOUCH_RANGE, Curves, Measured
+from tacgen.calibrate.sensor_fit import off
 
 Array = np.ndarray
 CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals
@@ -64,7 +64,7 @@ class MaterialFit:
 
     @property
     def off(self) -> Array:
-        """Relative error of the fitted forces (n,), as of `plausible.off`."""
+        """Relative error of the fitted forces (n,), as of `sensor_fit.off`."""
         return off(self.force, self.measured.force)
 
     @property

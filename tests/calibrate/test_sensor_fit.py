@@ -16,13 +16,13 @@ from typer.testing import CliRunner
 
 import tacgen
 from tacgen.base.errors import UserError
-from tacgen.calibrate import ball_dents, material, optics, plausible, press_colours, press_forces, unit
-from tacgen.calibrate.plausible import Evidence, SensorFit
+from tacgen.calibrate import dent_tables, force_curves, material, optics, press_localisation, sensor_fit, unit
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit
 from tacgen.cli import main as cli
 from tacgen.cli.calibrate import calibrations
 from tacgen.recipe import loading
 
-from .test_calibrate import written
+from .test_optics import written
 from .test_unit import FINE, formula
 
 YOUNG = ("gel", "layers", 0, "youngs_modulus_mpa")
@@ -81,7 +81,7 @@ def test_sensor_files_are_written_by_that_function_alone() -> None:
     for module in [*package.glob("calibrate/*.py"), *package.glob("cli*.py")]:
         nodes = [node for node in ast.walk(ast.parse(module.read_text())) if isinstance(node, ast.Attribute | ast.Name)]
         names = {node.attr if isinstance(node, ast.Attribute) else node.id for node in nodes}
-        assert module.name in ("plausible.py",) or not names & {"write_sensor", "edited"}, module
+        assert module.name in ("sensor_fit.py",) or not names & {"write_sensor", "edited"}, module
     with pytest.raises(TypeError):  # a fit says what speaks for it
         type("Unjudged", (SensorFit,), {})(Path(), sensor(), {})
 
@@ -120,7 +120,7 @@ def test_a_fitted_file_that_validate_refuses_is_not_plausible(tmp_path: Path) ->
 def test_forces_that_no_press_gives_are_fitted_and_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: list[float]
 ) -> None:
-    monkeypatch.setattr(press_forces, "solved", lambda row, depths: depths**1.5)
+    monkeypatch.setattr(force_curves, "solved", lambda row, depths: depths**1.5)
     (tmp_path / "press.yaml").write_text(f"{HEAD}  - press: {{depth_mm: 1, frames: 1}}\n")
     mine, rows = tmp_path / "mine.yaml", [f"{d},{f}" for d, f in zip((0.2, 0.4, 0.6, 0.8), force, strict=True)]
     (tmp_path / "t.csv").write_text("\n".join(["depth_mm,force_n", *rows]))
@@ -154,8 +154,8 @@ def drifting(folder: Path, shape: str) -> tuple[Path, Path]:
 
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> unit.Asked:
-    monkeypatch.setattr(ball_dents, "solved", partial(formula, deepest=3.6))
-    monkeypatch.setattr(press_colours, "COMPARED_PIXELS", 150)
+    monkeypatch.setattr(dent_tables, "solved", partial(formula, deepest=3.6))
+    monkeypatch.setattr(press_localisation, "COMPARED_PIXELS", 150)
     return unit.Asked(thickness=False, lights=False)
 
 
@@ -180,4 +180,4 @@ def test_where_no_rim_shows_depths_beyond_the_solved_ones_are_not_blamed(tmp_pat
 
 
 def test_relative_errors_of_small_forces_are_of_a_share_of_the_largest() -> None:
-    assert plausible.off(np.array([0.1, 1.1]), np.array([0.0, 1.0])) == pytest.approx([2.0, 0.1])
+    assert sensor_fit.off(np.array([0.1, 1.1]), np.array([0.0, 1.0])) == pytest.approx([2.0, 0.1])
