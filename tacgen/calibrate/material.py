@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import force_curves, material_fit, solved_presses
-from tacgen.calibrate.material_fit import MAX_MODULUS_FACTOR, MaterialFit
+from tacgen.calibrate.material_fit import MaterialFit, modulus_in_range
 from tacgen.calibrate.sensor_fit import Evidence, SensorFit, digits, moduli
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
@@ -120,11 +120,8 @@ def _changes(row: Row, second: str, fitted: MaterialFit) -> dict[KeyPath, Any]:
             out[*here, key] = digits(factor.value * out.get((*here, key), getattr(layer, key)))
         if series and isinstance(layer, IsochoricLayer):
             out[*here, "prony"] = series
-        reach = f"{factor.low:.3g} to {factor.high:.3g} with 95 %"
-        out[*here, "source"] = (
-            f"{layer.source}; moduli times {factor.value:.4g} ({reach}), fitted to measured forces of a"
-            f" {row.recipe.indenter.shape} ({fitted.measured.name}) {MATERIAL_SOURCE}"
-        )
+        by = f"fitted to measured forces of a {row.recipe.indenter.shape} ({fitted.measured.name}) {MATERIAL_SOURCE}"
+        out[*here, "source"] = f"{layer.source}; moduli {factor.times}, {by}"
     return out
 
 
@@ -144,9 +141,8 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     if asked.terms and measured.time is None:
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
     deepest, start = float(measured.depth.max()), rows[0].recipe.start
-    if said := solved_presses.depth_problem(
-        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + force_curves.FIRST_TOUCH_RANGE
-    ):
+    deeper = 1 + force_curves.FIRST_TOUCH_RANGE
+    if said := solved_presses.problem(rows[0].sensor.gel, (start.x_mm, start.y_mm), deepest, deeper):
         raise UserError(f"{table}: depth_mm: the largest {said}")
     depths = force_curves.depths_for(deepest)
     if asked.second:
@@ -175,7 +171,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
 
 def _undetermined(fitted: MaterialFit, second: str) -> Iterator[str]:
     """A message on the numbers that the forces do not determine, and what to measure."""
-    if not 2 / MAX_MODULUS_FACTOR < fitted["modulus"] < MAX_MODULUS_FACTOR / 2:
+    if not modulus_in_range(fitted["modulus"]):
         yield f"forces are as of a modulus {fitted['modulus']:.3g} times the file's: are they in N, and depths in mm?"
         return
     for e in fitted.estimates:
@@ -204,8 +200,4 @@ def _range(text: str, row: Row) -> tuple[str, list[float], float]:
         raise UserError(f"--second {text}: {name} is no number of the recipe or the sensor file")
     if not first <= now <= last:
         raise UserError(f"--second {text}: {name} is {now:g}, which the range must hold")
-    return (
-        name.strip(),
-        [first + (last - first) * k / (SECOND_PARAMETER_VALUES - 1) for k in range(SECOND_PARAMETER_VALUES)],
-        float(now),
-    )
+    return name.strip(), np.linspace(first, last, SECOND_PARAMETER_VALUES).tolist(), float(now)

@@ -8,7 +8,7 @@ to grow as it would in the elastic gel.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -49,6 +49,11 @@ class Estimate:
         reach = "at the end of its range" if self.bound else f"95 %: {self.low:.4g} to {self.high:.4g}"
         return f"{name}: {self.value:.4g}{unit} ({reach})"
 
+    @property
+    def times(self) -> str:
+        """A factor with its interval as text."""
+        return f"times {self.value:.4g} ({self.low:.3g} to {self.high:.3g} with {100 * CONFIDENCE_LEVEL:.0f} %)"
+
 
 @dataclass(frozen=True)
 class MaterialFit:
@@ -84,6 +89,17 @@ class Unknown:
     shown: Callable[[float], float] = float
 
 
+def modulus_unknown(start: float) -> Unknown:
+    """The factor on the moduli, fitted as its logarithm, from a start value that is limited to the range."""
+    inside, end = np.clip(start, 2 / MAX_MODULUS_FACTOR, MAX_MODULUS_FACTOR / 2), float(np.log(MAX_MODULUS_FACTOR))
+    return Unknown("modulus", float(np.log(inside)), -end, end, np.exp)
+
+
+def modulus_in_range(factor: float) -> bool:
+    """Whether a factor on the moduli is not near an end of its range."""
+    return 2 / MAX_MODULUS_FACTOR < factor < MAX_MODULUS_FACTOR / 2
+
+
 def fit(
     curves: Curves, measured: Measured, *, zero: bool = True, value: float | None = None, terms: int = 0
 ) -> MaterialFit:
@@ -97,7 +113,7 @@ def fit(
     Raises ValueError: fewer rows than numbers to find, and one more.
     """
     margin = FIRST_TOUCH_RANGE * float(measured.depth.max())
-    unknowns = [Unknown("modulus", 0.0, -np.log(MAX_MODULUS_FACTOR), np.log(MAX_MODULUS_FACTOR), np.exp)]
+    unknowns = [modulus_unknown(1.0)]
     if zero:
         unknowns.append(Unknown("zero", 0.0, -margin, margin))
     if curves.values is not None and value is None:
@@ -122,9 +138,7 @@ def fit(
 
     model = force(np.array([unknown.start for unknown in unknowns]))
     best = float(model @ measured.force) / max(float(model @ model), 1e-300)  # modulus with all others fixed
-    unknowns[0] = replace(
-        unknowns[0], start=float(np.log(np.clip(best, 2 / MAX_MODULUS_FACTOR, MAX_MODULUS_FACTOR / 2)))
-    )
+    unknowns[0] = modulus_unknown(best)
     estimates, correlation, at = estimated(force, measured.force, unknowns)
     return MaterialFit(estimates, correlation, force(at), measured)
 

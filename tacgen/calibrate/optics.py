@@ -70,8 +70,9 @@ class Calibrated(SensorFit):
         unseen = self.fitted.unseen
         if unseen is None:
             return Evidence(unseen="the fit is not judged: it takes two presses at least")
-        better = unseen.better
-        return Evidence(unseen="" if better else f"the fit is not better on presses that it has not seen: {unseen}")
+        return Evidence(
+            unseen="" if unseen.better else f"the fit is not better on presses that it has not seen: {unseen}"
+        )
 
     def draw(self, out: Path) -> None:
         """Write a figure of the unseen presses: photographed, rendered before and after the fit.
@@ -129,11 +130,9 @@ def changes_of(sensor: LitSensor, fitted: Fitted, said: str, *, bare: bool) -> d
         out |= {(part, key): digits(getattr(after, key)) for key in new_keys}
         if new_keys:
             names = ", ".join(key.removesuffix("_mm") for key in new_keys)
-            own = (
-                before.source.split(f"; {new_keys[0].removesuffix('_mm')}")[0]
-                if OPTICS_SOURCE in before.source
-                else before.source
-            )
+            own = before.source
+            if OPTICS_SOURCE in own:  # of an earlier fit
+                own = own.split(f"; {new_keys[0].removesuffix('_mm')}")[0]
             out[part, "source"] = f"{own}; {names} {by}"
     if now.thickness_response is not None and now.thickness_response != sensor.thickness_response:
         table = now.thickness_response

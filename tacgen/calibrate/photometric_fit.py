@@ -124,9 +124,7 @@ class PhotometricFits(PhotometricModel):
 
         def cost(v: Array, lights: Array) -> float:
             off = self.weighed(self.rows(v, seen), seen) @ np.append(lights, -1.0)
-            return robust_least_squares.soft_l1(off, SOFT_L1_COUNTS) + robust_least_squares.ridge_loss(
-                (v - self._start)[free] / half, lights, hold
-            )
+            return robust_least_squares.loss(off, (v - self._start)[free] / half, lights, hold, SOFT_L1_COUNTS)
 
         now = cost(v, lights.ravel())
         for _ in range(self.limits.steps):

@@ -72,12 +72,10 @@ class PressView:
     """The compared pixels of a sensor's pictures, and what presses do there."""
 
     def __init__(self, sensor: LitSensor) -> None:
-        camera = PinholeCamera.from_sensor(sensor)
+        self.camera = camera = PinholeCamera.from_sensor(sensor)
         height, width = camera.shape
-        rim, self._stride = (
-            int(OMITTED_RIM_SHARE * min(height, width)),
-            max(1, round(np.sqrt(height * width / COMPARED_PIXELS))),
-        )
+        rim = int(OMITTED_RIM_SHARE * min(height, width))
+        self._stride = max(1, round(np.sqrt(height * width / COMPARED_PIXELS)))
         self._pixels = tuple(np.arange(rim + self._stride // 2, side - rim, self._stride) for side in (height, width))
         y, x = (part.ravel() for part in np.meshgrid(*self._pixels, indexing="ij"))
         self._origin, self._ray = camera.rays(np.column_stack([x, y]) + 0.5)
@@ -211,12 +209,10 @@ def located(
     rich: bool, colours: Array | None = None, rounds: int = MAX_COLOUR_ROUNDS,
 ) -> LocatedPresses:  # fmt: skip
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
-    at, found, moving = start.copy(), colours, np.ones(len(pictures), bool)
+    at, moving = start.copy(), np.ones(len(pictures), bool)
     tables = [view.columns(dents[p.ball], a, blur, rich) for p, a in zip(pictures, at, strict=True)]
     for _ in range(rounds):
-        if colours is None:
-            found = _colours(tables, pictures, rich)
-        assert found is not None
+        found = _colours(tables, pictures, rich) if colours is None else colours
         largest = 0.0
         for k in np.flatnonzero(moving).tolist():
             dent = dents[pictures[k].ball]
@@ -227,9 +223,7 @@ def located(
             largest = max(largest, abs(step[0]))
         if largest < SETTLED_DEPTH_MM:
             break
-    if colours is None:
-        found = _colours(tables, pictures, rich)
-    assert found is not None
+    found = _colours(tables, pictures, rich) if colours is None else colours
     misfit = [
         np.bincount(view.sector(a), ((t @ found - p.change) ** 2).sum(axis=1), MISFIT_SECTORS)
         for t, p, a in zip(tables, pictures, at, strict=True)
@@ -252,16 +246,12 @@ def _step(
 ) -> Array:
     """Change of depth, x and y [mm] by Gauss and Newton, within the depths that are solved."""
     made = table @ colours
-    slopes = [
-        ((columns(at + DEPTH_DIFFERENCE_MM * (np.arange(3) == k)) @ colours - made) / DEPTH_DIFFERENCE_MM).ravel()
-        for k in range(3)
-    ]
-    jacobian = np.array(slopes)
+    moved = [columns(at + move) @ colours for move in DEPTH_DIFFERENCE_MM * np.eye(3)]
+    jacobian = np.array([(one - made).ravel() / DEPTH_DIFFERENCE_MM for one in moved])
     normal = jacobian @ jacobian.T
     held = normal + 1e-6 * max(float(np.trace(normal)), 1e-9) * np.eye(3)
-    step = np.clip(
-        np.linalg.solve(held, jacobian @ (picture.change - made).ravel()), -MAX_CENTRE_STEP_MM, MAX_CENTRE_STEP_MM
-    )
+    step = np.linalg.solve(held, jacobian @ (picture.change - made).ravel())
+    step = np.clip(step, -MAX_CENTRE_STEP_MM, MAX_CENTRE_STEP_MM)
     low, high = 0.7 * at[0] - 0.02, 1.5 * at[0] + 0.02  # no further in one round
     step[0] = np.clip(np.clip(at[0] + step[0], low, high), MIN_PRESS_DEPTH_MM, dents.depth[-1]) - at[0]
     return np.asarray(step)

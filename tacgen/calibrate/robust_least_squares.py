@@ -39,14 +39,10 @@ class Ridge:
     scale: Array
 
 
-def soft_l1(residual: Array, soft: float) -> float:
-    """Soft-l1 loss of residuals, sum of 2 soft^2 (sqrt(1 + (r / soft)^2) - 1)."""
-    return float((2 * soft**2 * (np.sqrt(1 + (residual / soft) ** 2) - 1)).sum())
-
-
-def ridge_loss(u: Array, lights: Array, ridge: Ridge) -> float:
-    """The ridge's part of the loss."""
-    return float(ridge.weight**2 * ((u**2).sum() + (((lights - ridge.own) / ridge.scale) ** 2).sum()))
+def loss(residual: Array, u: Array, lights: Array, ridge: Ridge, soft: float) -> float:
+    """Soft-l1 loss of residuals, sum of 2 soft^2 (sqrt(1 + (r / soft)^2) - 1), and the ridge's quadratic one."""
+    pixels = (2 * soft**2 * (np.sqrt(1 + (residual / soft) ** 2) - 1)).sum()
+    return float(pixels + ridge.weight**2 * ((u**2).sum() + (((lights - ridge.own) / ridge.scale) ** 2).sum()))
 
 
 def minimise(
@@ -70,7 +66,7 @@ def minimise(
         return np.asarray(tables.rows + np.tensordot(x[:free] - tables.at, tables.slopes, 1))
 
     def cost(off: Array, x: Array) -> float:
-        return soft_l1(off, soft) + ridge_loss(x[:free], x[free:] * ridge.scale, ridge)
+        return loss(off, x[:free], x[free:] * ridge.scale, ridge, soft)
 
     def left(x: Array, here: Array) -> Array:
         return np.asarray(here @ np.append(x[free:] * ridge.scale, -1.0))
@@ -79,9 +75,8 @@ def minimise(
     off = left(x, here)
     now = cost(off, x)
     for _ in range(MAX_GAUSS_NEWTON_STEPS):
-        slope = np.column_stack(
-            [(tables.slopes @ np.append(x[free:] * ridge.scale, -1.0)).T, here[:, :-1] * ridge.scale]
-        )
+        moved = tables.slopes @ np.append(x[free:] * ridge.scale, -1.0)
+        slope = np.column_stack([moved.T, here[:, :-1] * ridge.scale])
         weighed = slope / np.sqrt(1 + (off / soft) ** 2)[:, None]
         square = weighed.T @ slope + ridge.weight**2 * np.eye(len(x))
         falls = weighed.T @ off + ridge.weight**2 * (x - aim)

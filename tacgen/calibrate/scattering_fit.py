@@ -148,11 +148,8 @@ class Renders:
         self.made, self.camera = made.model_copy(update={"thickness_response": None}), sensor.camera
         self.linear = camera_response.linear(photos.untouched / 255.0, sensor.camera).reshape(-1, 3)
         file = sensor.thickness_response
-        self.file = (
-            np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3))
-            if file is None
-            else scattering.gain(file, np.array(GAIN_THICKNESS_CHANGES_MM))
-        )
+        known = np.array(GAIN_THICKNESS_CHANGES_MM)
+        self.file = np.ones((len(known), 3)) if file is None else scattering.gain(file, known)
         depths = [[factor * (press.depth or 0.0) for factor in DEPTH_FACTORS] for press in photos.presses]
         self.faces = [
             solved_presses.solved(self.made, *one, folders) for one in zip(photos.presses, depths, strict=True)
@@ -230,9 +227,8 @@ def gains(sums: Sums, file: Array, ridge: float) -> Array:
 
 def _hats(change: Array) -> Array:
     """Linear interpolation weights (n, changes) of changes of thickness (n,) [mm] at GAIN_THICKNESS_CHANGES_MM."""
-    return np.array(
-        [np.interp(change, GAIN_THICKNESS_CHANGES_MM, row) for row in np.eye(len(GAIN_THICKNESS_CHANGES_MM))]
-    ).T
+    rows = np.eye(len(GAIN_THICKNESS_CHANGES_MM))
+    return np.array([np.interp(change, GAIN_THICKNESS_CHANGES_MM, row) for row in rows]).T
 
 
 def _seen(
@@ -251,9 +247,8 @@ def _seen(
         change = seen.position[:, 2] - renderer.untouched.at(seen.position[:, :2])[:, 2]
         own = (renderer.image(face).astype(float) / np.maximum(flat, 1e-12)).reshape(-1, 3)
         away = np.hypot(*(camera.project(seen.position) - press.center).T) * camera.mm_per_px
-        return RenderedPress(
-            change.reshape(view.shape), sensor.camera.mm_per_px, own, after / before, away < PRESS_REACH_MM
-        )
+        change, near = change.reshape(view.shape), away < PRESS_REACH_MM
+        return RenderedPress(change, sensor.camera.mm_per_px, own, after / before, near)
 
     return [at(face) for face in faces]
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from tacgen.calibrate import dent_tables, indentation_fit, press_localisation
 from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.dent_tables import DENT_RADII, Dents, with_thickness
-from tacgen.calibrate.indentation_fit import Gauge
+from tacgen.calibrate.indentation_fit import Gauge, GaugedPresses
 from tacgen.calibrate.photometric_model import FitLimits
 from tacgen.calibrate.press_localisation import PressView
 from tacgen.cli import main as cli
@@ -79,16 +79,14 @@ def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.
     changes = [c + random.normal(0, 1.5, c.shape) for c in painted(one, thick, presses(depths))]
     groups = range(len(depths)) if gauge is None else gauge.recording
     pictures = [view.picture(c, 0.0 * c, BALL, int(g)) for c, g in zip(changes, groups, strict=True)]
-    dents = [
-        {BALL: formula(with_thickness(one, f * one.gel.thickness_mm), BALL)} for f in indentation_fit.THICKNESS_FACTORS
-    ]
+    thicknesses = [factor * one.gel.thickness_mm for factor in indentation_fit.THICKNESS_FACTORS]
+    dents = [{BALL: formula(with_thickness(one, tried), BALL)} for tried in thicknesses]
     if gauge is None:
         true = ZERO + MODULUS * formula(with_thickness(one, thick), BALL).force_at(depths)
         read = true + random.normal(0, 0.01 * true.max(), len(true))
         gauge = Gauge(read, np.arange(len(depths)), np.full(len(depths), np.nan))
-    return indentation_fit.fit(
-        indentation_fit.thickness_scan(view, pictures, dents, rich=False), pictures, dents, gauge
-    )
+    seen = GaugedPresses(view, pictures, gauge, dents)
+    return indentation_fit.fit(indentation_fit.thickness_scan(seen, rich=False), seen)
 
 
 @pytest.mark.parametrize("thick", [2.4, pytest.param(3.7, marks=pytest.mark.slow)])
@@ -127,7 +125,7 @@ def test_a_recording_with_another_contrast_tells_it_by_its_own_pictures(unit: Li
     pictures = [view.picture((0.9 if late else 1.0) * c + random.normal(0, 1.5, c.shape), 0 * c, BALL, int(late))
                 for c, late in zip(changes, second, strict=True)]  # fmt: skip
     gauge = Gauge(force, second.astype(int), np.full(16, np.nan))
-    found = indentation_fit.held_out_forces(view, pictures, dents, gauge, second)
+    found = indentation_fit.held_out_forces(GaugedPresses(view, pictures, gauge, dents), second)
     assert found.mae(found.predicted) < 0.5 * found.mae(found.foreign)
     assert found.mae(found.predicted) < 0.05 * force.max()
 
@@ -192,8 +190,8 @@ def test_the_command_writes_a_sensor_file_with_what_was_found_and_unseen_forces(
     ("change", "says"),
     [
         (lambda t: t.replace("force_n", "newtons"), "presses.csv: has no column force_n"),
-        (lambda t: t.replace("0.png,4,", "0.png,4000,"), ":2: ball_radius_mm: must be from 0.1 to 100 (got '4000')"),
-        (lambda t: t.replace("1.png,4,", "1.png,4,x"), ":3: force_n: must be a number below 1e+06"),
+        (lambda t: t.replace("0.png,4,", "0.png,4e3,"), ":2: ball_radius_mm: must be a number from 0.1 to 100"),
+        (lambda t: t.replace("1.png,4,", "1.png,4,x"), ":3: force_n: must be a number from -1e+06 to 1e+06"),
         (lambda t: t.replace("2.png", "gone.png"), "gone.png: cannot be read"),
         (lambda t: "\n".join(t.splitlines()[:4]), "3 of its pictures show a press, and a fit takes 4 at least"),
         (lambda t: "\n".join(t.splitlines()[:1] + [line.rsplit(",", 1)[0] + ",2" for line in t.splitlines()[1:]]),
