@@ -6,35 +6,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.tiny import sensor
+from helpers.photographed import FINE, PRESSES, calibrate, photographed, refused, save, written
+from helpers.tiny import PLAIN, sensor
 from PIL import Image
-from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import cross_validation, optics, photometric_fit, photos, solved_presses
 from tacgen.calibrate.photometric_model import FitLimits
 from tacgen.calibrate.render_comparison import Likeness
-from tacgen.cli import main as cli
 from tacgen.mechanics import NotConverged
 from tacgen.recipe import loading
 
-from .test_optics import FINE, PLAIN, PRESSES, photographed, written
-
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch: pytest.MonkeyPatch, few_dents: None) -> None:
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
-    monkeypatch.setattr("tacgen.calibrate.render_comparison.TRAINING_DENTS", 4)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.TRAINING_SAMPLES", 500)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.ENSEMBLE_SIZE", 1)
 
 
-def calibrate(folder: Path, unit: Any, *options: str) -> Any:
+def radiances(folder: Path, unit: Any, *options: object) -> Any:
     """Run the command with radiances alone, from the plain sensor, on photographs of a unit."""
     path = written(sensor(camera=FINE, markers=None), folder / "file.yaml")
     images = photographed(unit, folder / "unit", PRESSES[:2])
-    asked = ["calibrate", "optics", "--sensor", str(path), "--images", str(images), "--tolerance-mm", "0", *options]
-    return CliRunner().invoke(cli.app, asked)
+    return calibrate("optics", "--sensor", path, "--images", images, "--tolerance-mm", 0, *options)
 
 
 def test_each_of_few_presses_is_left_out_once_and_a_third_of_more() -> None:
@@ -88,13 +81,11 @@ def test_worse_scores_are_told_before_and_after() -> None:
 def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) -> None:
     """Photographs of the file's own sensor: no fit can be better."""
     out, exact = tmp_path / "mine.yaml", sensor(camera=FINE, markers=None)
-    done = calibrate(tmp_path, exact, "-o", str(out))
-    assert done.exit_code == 2, done.output
-    (line,) = done.stderr.splitlines()
-    assert line.startswith(f"{out}: not written: the fit is not better on presses that it has not seen: ")
-    assert " before and " in line
+    done = radiances(tmp_path, exact, "-o", out)
+    refused(done, f"{out}: not written: the fit is not better on presses that it has not seen: ")
+    assert " before and " in done.stderr
     assert not out.exists()
-    done = calibrate(tmp_path, exact, "-o", str(out), "--anyway")
+    done = radiances(tmp_path, exact, "-o", out, "--anyway")
     assert (done.exit_code, out.is_file()) == (0, True)
 
 
@@ -102,7 +93,7 @@ def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) ->
 def test_a_fit_that_helps_is_written_with_its_scores_and_drawn(tmp_path: Path) -> None:
     out, figure = tmp_path / "mine.yaml", tmp_path / "unseen.png"
     unit = sensor(leds=[{**led, "power": 1.5} for led in PLAIN["leds"]], camera=FINE, markers=None)
-    done = calibrate(tmp_path, unit, "-o", str(out), "--figure", str(figure))
+    done = radiances(tmp_path, unit, "-o", out, "--figure", figure)
     assert done.exit_code == 0, done.output
     mine, _ = loading.read_sensor(out)
     assert "; on unseen presses " in mine.leds[0].source
@@ -116,15 +107,11 @@ def test_a_fit_that_helps_is_written_with_its_scores_and_drawn(tmp_path: Path) -
 def test_without_presses_nothing_is_judged(tmp_path: Path) -> None:
     unit, out = sensor(camera=FINE, markers=None), tmp_path / "mine.yaml"
     path, folder = written(unit, tmp_path / "file.yaml"), photographed(unit, tmp_path / "unit", ())
-    asked = ["calibrate", "optics", "--sensor", str(path), "--images", str(folder)]
-    done = CliRunner().invoke(cli.app, [*asked, "-o", str(out)])
-    assert done.exit_code == 2
-    assert (
-        done.stderr == f"{out}: not written: the fit is not judged: it takes two presses at least; --anyway writes it\n"
+    asked = "optics", "--sensor", path, "--images", folder
+    refused(
+        calibrate(*asked, "-o", out), f"{out}: not written: the fit is not judged: it takes two presses at least; --any"
     )
-    done = CliRunner().invoke(cli.app, [*asked, "--figure", str(tmp_path / "f.png")])
-    assert done.exit_code == 2
-    assert "the fit is not judged" in done.stderr
+    refused(calibrate(*asked, "--figure", tmp_path / "f.png"), "the fit is not judged")
 
 
 def test_what_data_determine_against_a_ridge() -> None:
@@ -181,7 +168,7 @@ def test_glare_in_the_untouched_picture_does_not_spoil_lights_fitted_to_changes(
     glare = np.linspace(80, 0, FINE["width_px"])[None, :, None]  # [counts]
     for picture in folder.glob("*.png"):
         seen = np.asarray(Image.open(picture)) + glare
-        Image.fromarray(np.clip(seen, 0, 255).astype(np.uint8)).save(picture)
+        save(seen, picture)
     read = photos.read(folder, file.camera)
     faces = [solved_presses.face(file, press, {}) for press in read.presses]
     read = replace(read, presses=tuple(replace(press, contact=None, depth=0.5) for press in read.presses))

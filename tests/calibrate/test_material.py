@@ -1,16 +1,16 @@
 """Material constants from forces: found where they are known, within the bounds that the fit itself states."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from helpers.photographed import calibrate, refused
 from helpers.small_recipe import HEAD
-from typer.testing import CliRunner
 
 from tacgen import mechanics
 from tacgen.calibrate import force_curves, material_fit
 from tacgen.calibrate.force_curves import Curves, Measured
-from tacgen.cli import main as cli
 from tacgen.mechanics import mesh
 from tacgen.recipe import assets, loading, plan, scene_of_row
 from tacgen.recipe.row import Row
@@ -23,6 +23,14 @@ def row(folder: Path, steps: str = "- press: {depth_mm: 1, frames: 1}", sets: tu
     path = folder / "press.yaml"
     path.write_text(f"{HEAD}  {steps}\n")
     return plan.load(path, sets).rows[0]
+
+
+def fitted(folder: Path, table: str, *more: object) -> Any:
+    """Run the command on a table of forces."""
+    row(folder)
+    (folder / "ours.csv").write_text(table)
+    asked = "--sensor", "gelsight_mini", "--recipe", folder / "press.yaml", "--data", folder / "ours.csv"
+    return calibrate("material", *asked, *more)
 
 
 @pytest.fixture(scope="module")
@@ -86,15 +94,10 @@ def test_relaxation_of_a_solved_viscoelastic_gel_is_found(curves: Curves, tmp_pa
 
 
 def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_path: Path) -> None:
-    row(tmp_path)
     depth = np.linspace(0.1, 0.9, 9)
     lines = [f"{d:.4f},{1.2 * f:.5f}" for d, f in zip(depth, curves.force(depth + 0.05), strict=True)]
-    (tmp_path / "ours.csv").write_text("\n".join(["depth_mm, force_n", *lines]))
-    asked = ["calibrate", "material", "--sensor", "gelsight_mini", "--recipe", str(tmp_path / "press.yaml")]
     mine, plot = tmp_path / "mine.yaml", tmp_path / "fit.png"
-    done = CliRunner().invoke(
-        cli.app, [*asked, "--data", str(tmp_path / "ours.csv"), "-o", str(mine), "--plot", str(plot)]
-    )
+    done = fitted(tmp_path, "\n".join(["depth_mm, force_n", *lines]), "-o", mine, "--plot", plot)
     assert done.exit_code == 0, done.output
     assert "correlation of modulus and zero: -0." in done.stdout
     assert "modulus alone: off by" in done.stdout
@@ -121,28 +124,19 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
         ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", "name=0:1"), "name is no number of the recipe or"),
         ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", f"sensor.{MODULUS}=1:2"), "is 0.432, which the range must"),
         ("depth_mm,force_n\n0.5,1,2\n1,2\n1.5,3", (), ":2: has 3 cells, and the header 2: is a comma a decimal point?"),
-        ("depth_mm,force_n\n0.5\n1,2\n1.5,3", (), ":2: has 1 cells, and the header 2"),
         ("depth_mm,force_n\n0.0005,1\n0.001,3\n0.0015,5\n", (),
          "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 0.00"),
         ("depth_mm,force_n\n0.5,1\n1,3\n3.9,5\n", (),
          "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 3.9)"),
         ("depth_mm,force_n\n0.5,1\n1,3\n1.5,1e308\n", (), ":4: force_n: must be a number below 1e+06 (got '1e308')"),
-        ("depth_mm,force_n\n-1e308,1\n1,3\n1.5,4\n", (), ":2: depth_mm: must be a number below 1e+06"),
         ("depth_mm,force_n\n0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:inf"), "must be PATH=LOW:HIGH"),
         ("depth_mm,force_n\n0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=nan:1"), "must be PATH=LOW:HIGH"),
-        ("depth_mm,force_n\n0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:1e308"), "must be PATH=LOW:HIGH"),
     ],
 )  # fmt: skip
 def test_an_unusable_table_is_reported_in_one_line(
     tmp_path: Path, table: str, more: tuple[str, ...], says: str
 ) -> None:
-    row(tmp_path)
-    (tmp_path / "t.csv").write_text(table)
-    asked = ["--sensor", "gelsight_mini", "--recipe", str(tmp_path / "press.yaml"), "--data", str(tmp_path / "t.csv")]
-    done = CliRunner().invoke(cli.app, ["calibrate", "material", *asked, *more])
-    assert done.exit_code == 2, done.output
-    assert says in done.stderr
-    assert done.stderr.count("\n") == 1
+    refused(fitted(tmp_path, table, *more), says)
 
 
 def test_more_numbers_than_rows_are_refused(curves: Curves) -> None:
@@ -155,25 +149,19 @@ def test_more_numbers_than_rows_are_refused(curves: Curves) -> None:
 @pytest.mark.parametrize(
     ("depth", "factor", "more", "says"),
     [
-        ([0.5] * 5, 1.0, (), ["zero: is not determined: these forces allow its whole range: measure small depths"]),
-        ([-0.4, -0.2, -0.1, 0.5], 1.0, (), ["zero: is not determined"]),
-        ([0.2, 0.5, 0.8, 1.0], 1e5, (), ["forces are as of a modulus 1e+03 times the file's: are they in N"]),
-        ([0.2, 0.5, 0.8, 0.8, 0.8], 1.0, ("--prony", "1", "--no-zero"), ["tau1: is not determined"]),
+        ([0.5] * 5, 1.0, (), "zero: is not determined: these forces allow its whole range: measure small depths"),
+        ([-0.4, -0.2, -0.1, 0.5], 1.0, (), "zero: is not determined"),
+        ([0.2, 0.5, 0.8, 1.0], 1e5, (), "forces are as of a modulus 1e+03 times the file's: are they in N"),
+        ([0.2, 0.5, 0.8, 0.8, 0.8], 1.0, ("--prony", "1", "--no-zero"), "tau1: is not determined"),
     ],
 )
 def test_what_forces_leave_open_is_said_and_nothing_written(
     curves: Curves, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, depth: list[float], factor: float,
-    more: tuple[str, ...], says: list[str],
+    more: tuple[str, ...], says: str,
 ) -> None:  # fmt: skip
     """Depths that are all alike, forces of 0, forces in another unit, and a gel that does not relax."""
-    row(tmp_path)
     monkeypatch.setattr(force_curves, "solved", lambda row, depths: curves.force(depths))
     force = factor * curves.force(np.array(depth))
     rows = [f"{d},{f:.6f},{k}" for k, (d, f) in enumerate(zip(depth, force, strict=True))]
-    (tmp_path / "t.csv").write_text("\n".join(["depth_mm,force_n,time_s", *rows]))
-    asked = ["--sensor", "gelsight_mini", "--recipe", str(tmp_path / "press.yaml"), "--data", str(tmp_path / "t.csv")]
-    done = CliRunner().invoke(cli.app, ["calibrate", "material", *asked, *more, "-o", str(tmp_path / "mine.yaml")])
-    assert done.exit_code == 2, done.output
+    refused(fitted(tmp_path, "\n".join(["depth_mm,force_n,time_s", *rows]), *more, "-o", tmp_path / "mine.yaml"), says)
     assert not (tmp_path / "mine.yaml").exists()
-    for said in says:
-        assert said in done.stderr
