@@ -151,12 +151,9 @@ class PressView:
 
 
 def located_with_best_blur(
-    view: PressView,
-    pictures: Sequence[PressPicture],
-    dents: Mapping[float, Dents],
-    rich: bool,
+    view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], rich: bool,
     near: LocatedPresses | None = None,
-) -> LocatedPresses:
+) -> LocatedPresses:  # fmt: skip
     """Depths and centres of presses with the colours and the blur that suit them best.
 
     Args:
@@ -176,9 +173,8 @@ def located_with_best_blur(
         best = min(best, tried, key=lambda one: float(one.misfit.sum()))
         return float(tried.misfit.sum())
 
-    minimize_scalar(
-        misfit, bounds=(0.0, MAX_SLOPE_BLUR * thick), method="bounded", options={"xatol": SLOPE_BLUR_TOL * thick}
-    )
+    bounds, how = (0.0, MAX_SLOPE_BLUR * thick), {"xatol": SLOPE_BLUR_TOL * thick}
+    minimize_scalar(misfit, bounds=bounds, method="bounded", options=how)
     return best
 
 
@@ -224,10 +220,8 @@ def located(
         if largest < SETTLED_DEPTH_MM:
             break
     found = _colours(tables, pictures, rich) if colours is None else colours
-    misfit = [
-        np.bincount(view.sector(a), ((t @ found - p.change) ** 2).sum(axis=1), MISFIT_SECTORS)
-        for t, p, a in zip(tables, pictures, at, strict=True)
-    ]
+    left = [((table @ found - one.change) ** 2).sum(axis=1) for table, one in zip(tables, pictures, strict=True)]
+    misfit = [np.bincount(view.sector(a), one, MISFIT_SECTORS) for a, one in zip(at, left, strict=True)]
     return LocatedPresses(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
 
 

@@ -104,40 +104,40 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
     solved_presses.check(sensor, photos, DEPTH_FACTORS[-1])
     light = images.Renderer(sensor, FIT_SPP, 0, False).light
     assert isinstance(light, images.Cloudy)
-    maps = light.maps
-    lights = powers(sensor, maps, photos.untouched)
-    leds = zip(sensor.leds, lights, strict=True)
-    made = sensor.model_copy(
-        update={"leds": tuple(led.model_copy(update={"radiance": rgb(row), "power": 1.0}) for led, row in leds)}
-    )
-    now, before = (_off(s, maps, photos.untouched) for s in (made, sensor))
+    each = zip(sensor.leds, powers(sensor, light.maps, photos.untouched), strict=True)
+    leds = tuple(led.model_copy(update={"radiance": rgb(row), "power": 1.0}) for led, row in each)
+    made = sensor.model_copy(update={"leds": leds})
+    now, before = (_off(s, light.maps, photos.untouched) for s in (made, sensor))
     if not photos.presses:
         return Fitted(made, now, before)
-    renders = Renders(sensor, made, photos, folders)
-    every, groups = list(range(len(photos.presses))), folds(len(photos.presses))
-    if not groups:
-        off, response, i = renders.best(every, GAIN_RIDGES[-1])
-        return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], ridge=GAIN_RIDGES[-1])
+    renders, groups = Renders(sensor, made, photos, folders), folds(len(photos.presses))
+    ridge, unseen = _held_out(renders, sensor, photos, groups) if groups else (GAIN_RIDGES[-1], None)
+    off, response, i = renders.best(list(range(len(photos.presses))), ridge)
+    sure = renders.determined(i, ridge) if unseen else {}
+    return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], unseen, ridge, sure)
+
+
+def _held_out(
+    renders: "Renders", sensor: LitSensor, photos: Photos, groups: list[list[int]]
+) -> tuple[float, HeldOutPresses]:
+    """The ridge that suits unseen presses best, and the scores of its fits, each to all but one group of presses."""
     held_out = [k - 1 for group in groups for k in group]
     tried: list[list[Choice]] = []
+    seen = [[k for k in range(len(photos.presses)) if k + 1 not in group] for group in groups]
     for ridge in GAIN_RIDGES:
-        fits: list[Choice] = [renders.best([k for k in every if k + 1 not in group], ridge)[1:] for group in groups]
-        tried.append([fit for group, fit in zip(groups, fits, strict=True) for _ in group])
+        fits: list[Choice] = [renders.best(some, ridge)[1:] for some in seen]
+        tried.append([fit for fit, group in zip(fits, groups, strict=True) for _ in group])
     start: list[Choice] = [(sensor.thickness_response, DEPTH_FACTORS.index(1.0))] * len(held_out)
     counts = np.array([
         [renders.off(k, *fit) for k, fit in zip(held_out, choices, strict=True)]
         for choices in (start, *tried)
     ])  # fmt: skip
     number = int(np.argmin(counts[1:].mean(axis=1)))
-    alike = [renders.likeness(held_out, choices) for choices in (start, tried[number])]
-    unseen = HeldOutPresses(
-        tuple(photos.presses[k] for k in held_out),
-        tuple(renders.faces[k][i] for k, (_, i) in zip(held_out, tried[number], strict=True)),
-        tuple(renders.sensor(response) for response, _ in tried[number]), counts[[0, number + 1]], (alike[0], alike[1]),
-    )  # fmt: skip
-    off, response, i = renders.best(every, GAIN_RIDGES[number])
-    return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], unseen, GAIN_RIDGES[number],
-                  renders.determined(i, GAIN_RIDGES[number]))  # fmt: skip
+    before, after = (renders.likeness(held_out, choices) for choices in (start, tried[number]))
+    faces = tuple(renders.faces[k][i] for k, (_, i) in zip(held_out, tried[number], strict=True))
+    sensors = tuple(renders.sensor(response) for response, _ in tried[number])
+    presses = tuple(photos.presses[k] for k in held_out)
+    return GAIN_RIDGES[number], HeldOutPresses(presses, faces, sensors, counts[[0, number + 1]], (before, after))
 
 
 class Renders:
