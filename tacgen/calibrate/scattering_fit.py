@@ -7,7 +7,7 @@ whose weight suits unseen presses best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -110,7 +110,7 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
     now, before = (_off(s, light.maps, photos.untouched) for s in (made, sensor))
     if not photos.presses:
         return Fitted(made, now, before)
-    renders, groups = Renders(sensor, made, photos, folders), folds(len(photos.presses))
+    renders, groups = Renders.of(made, photos, folders), folds(len(photos.presses))
     ridge, unseen = _held_out(renders, sensor, photos, groups) if groups else (GAIN_RIDGES[-1], None)
     off, response, i = renders.best(list(range(len(photos.presses))), ridge)
     sure = renders.determined(i, ridge) if unseen else {}
@@ -140,25 +140,31 @@ def _held_out(
     return GAIN_RIDGES[number], HeldOutPresses(presses, faces, sensors, counts[[0, number + 1]], (before, after))
 
 
+@dataclass
 class Renders:
     """All presses rendered at each of DEPTH_FACTORS times their depths."""
 
-    def __init__(self, sensor: LitSensor, made: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> None:
-        """`made`: the sensor with fitted radiances."""
-        self.made, self.camera = made.model_copy(update={"thickness_response": None}), sensor.camera
-        self.linear = camera_response.linear(photos.untouched / 255.0, sensor.camera).reshape(-1, 3)
-        file = sensor.thickness_response
-        known = np.array(GAIN_THICKNESS_CHANGES_MM)
-        self.file = np.ones((len(known), 3)) if file is None else scattering.gain(file, known)
+    made: LitSensor  # with fitted radiances, without a response to thickness
+    linear: Array  # untouched photograph (pixels, 3)
+    file: Array  # gain of the sensor file (changes, 3)
+    spread: float  # of that gain [mm]
+    faces: Sequence[Sequence[Surface]]  # by press, then by factor
+    seen: Sequence[Sequence[RenderedPress]]
+    _kept: dict[tuple[int, int, float], Sums] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, made: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> "Renders":
+        """Solve and render the presses. `made`: the sensor with fitted radiances, and the response of its file."""
+        file, known = made.thickness_response, np.array(GAIN_THICKNESS_CHANGES_MM)
+        gain = np.ones((len(known), 3)) if file is None else scattering.gain(file, known)
+        made = made.model_copy(update={"thickness_response": None})
+        linear = camera_response.linear(photos.untouched / 255.0, made.camera).reshape(-1, 3)
         depths = [[factor * (press.depth or 0.0) for factor in DEPTH_FACTORS] for press in photos.presses]
-        self.faces = [
-            solved_presses.solved(self.made, *one, folders) for one in zip(photos.presses, depths, strict=True)
-        ]
-        renderer = images.Renderer(self.made, FIT_SPP, 0, False)
-        pairs = zip(photos.presses, self.faces, strict=True)
-        self.seen = [_seen(self.made, renderer, photos, *pair) for pair in pairs]  # by press, then by factor
-        self.spread = 0.0 if file is None else file.spread_mm
-        self._kept: dict[tuple[int, int, float], Sums] = {}
+        each = zip(photos.presses, depths, strict=True)
+        faces = [solved_presses.solved(made, press, tried, folders) for press, tried in each]
+        renderer, pairs = images.Renderer(made, FIT_SPP, 0, False), zip(photos.presses, faces, strict=True)
+        seen = [_seen(made, renderer, photos, *pair) for pair in pairs]
+        return cls(made, linear, gain, 0.0 if file is None else file.spread_mm, faces, seen)
 
     def sensor(self, response: ThicknessResponse | None) -> LitSensor:
         """The sensor with fitted radiances and a response to thickness."""
@@ -187,13 +193,13 @@ class Renders:
 
     def off(self, press: int, response: ThicknessResponse | None, factor: int) -> float:
         """Misfit [counts] of a press."""
-        wanted, made = self.seen[press][factor].changes(response, self.linear, self.camera)
+        wanted, made = self.seen[press][factor].changes(response, self.linear, self.made.camera)
         return rms([made - wanted])
 
     def likeness(self, presses: list[int], fits: list[Choice]) -> ChangeLikeness:
         """Likeness of presses, each with a response and the number of a factor."""
         pairs = zip(presses, fits, strict=True)
-        shown = [self.seen[k][i].changes(response, self.linear, self.camera) for k, (response, i) in pairs]
+        shown = [self.seen[k][i].changes(response, self.linear, self.made.camera) for k, (response, i) in pairs]
         return ChangeLikeness.of(*(np.concatenate(part) for part in zip(*shown, strict=True)))
 
     def determined(self, factor: int, ridge: float) -> dict[str, float]:

@@ -30,14 +30,8 @@ def test_gain_and_spread_are_found(spread: float, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(scattering_fit, "DEPTH_FACTORS", (1.0,))
     monkeypatch.setattr(scattering_fit, "GAIN_SPREADS_MM", (0.0, 0.1, 0.2, 0.3))
     seen, truth = press(spread)
-    renders = object.__new__(Renders)
-    renders.camera, renders.linear = cloudy().camera, np.full((seen.change.size, 3), 0.4)
-    renders.file, renders.seen, renders.spread, renders._kept = (
-        np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3)),
-        [[seen]],
-        0.0,
-        {},
-    )
+    linear, file = np.full((seen.change.size, 3), 0.4), np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3))
+    renders = Renders(cloudy(), linear, file, 0.0, [], [[seen]])
     off, found, _ = renders.best([0], 1e-6)
     assert off < 0.2
     assert found.spread_mm == spread
