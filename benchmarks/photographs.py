@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from benchmarks.results_page import ROOT
 from tacgen.calibrate import contact_circle
-from tacgen.calibrate.likeness import PictureOfPress
 from tacgen.calibrate.photos import PhotographedPress
+from tacgen.calibrate.render_comparison import PictureOfPress
 from tacgen.render.photograph import read
 
 Array = np.ndarray

@@ -17,10 +17,10 @@ import numpy as np
 from benchmarks import photographs
 from benchmarks.photographs import MINIS, SENSORS, Unit
 from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
-from tacgen.calibrate import likeness, normal_net, press_faces
+from tacgen.calibrate import normal_net, render_comparison, solved_presses
 from tacgen.calibrate import unit as calibration
-from tacgen.calibrate.likeness import Comparison, PictureOfPress
 from tacgen.calibrate.normal_net import NormalNet
+from tacgen.calibrate.render_comparison import Comparison, PictureOfPress
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import assets, loading, plan
@@ -84,7 +84,7 @@ def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
     for name, one in units.items():
         sensor = sensor_of(name)
         compared, random = Comparison(sensor), np.random.default_rng(0)
-        faces = [press_faces.face(sensor, press, {}) for press in one.presses]
+        faces = [solved_presses.face(sensor, press, {}) for press in one.presses]
         like = compared.likeness(one.presses, faces, one.untouched)
         pairs = list(zip(one.presses, faces, strict=True))
         real = [compared.photographed(press, face, one.untouched) for press, face in pairs]
@@ -112,7 +112,7 @@ def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
 def _left_out(real: list[PictureOfPress]) -> Iterator[float]:
     """Error [deg] for each press of a network trained on all others."""
     for k, one in enumerate(real):
-        yield one.off(likeness.learned(real[:k] + real[k + 1 :]).normals(one.features))
+        yield one.off(render_comparison.learned(real[:k] + real[k + 1 :]).normals(one.features))
 
 
 def _depth(unit: Unit, say: Say) -> Table:
@@ -129,16 +129,16 @@ def _depth(unit: Unit, say: Say) -> Table:
     grey, known = [], []
     for ball in OTHERS:
         other = replace(press, ball=ball)
-        for face in press_faces.solved(sensor, other, [0.6, 1.2, 1.8], {}):
+        for face in solved_presses.solved(sensor, other, [0.6, 1.2, 1.8], {}):
             grey.append((level - renderer.develop(renderer.image(face))).mean(axis=2).ravel())
             known.append(deep(face).ravel())
     steps = np.arange(0.0, 70.0, 2.0)
     which = np.digitize(np.concatenate(grey), steps)
     rendered = [np.median(np.concatenate(known)[which == k + 1]) if (which == k + 1).any() else np.nan
                 for k in range(len(steps))]  # fmt: skip
-    (face,) = press_faces.solved(sensor, press, [cast(float, press.depth)], {})
+    (face,) = solved_presses.solved(sensor, press, [cast(float, press.depth)], {})
     truth, seen = deep(face), (unit.untouched.astype(float) - press.picture).mean(axis=2)
-    where = likeness.circle(truth.shape, press.center, CONTACT / sensor.camera.mm_per_px)
+    where = render_comparison.circle(truth.shape, press.center, CONTACT / sensor.camera.mm_per_px)
     own = np.loadtxt(unit.folder / "gray_to_depth.csv", delimiter=",", skiprows=1)
 
     def off(steps: Array, table: Array) -> float:
@@ -201,7 +201,9 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, fl
     unit, compared = photographs.unit(name), Comparison(sensor)
     assert unit is not None
     presses = [
-        photographs.without(compared.photographed(press, press_faces.face(sensor, press, {}), unit.untouched), hidden)
+        photographs.without(
+            compared.photographed(press, solved_presses.face(sensor, press, {}), unit.untouched), hidden
+        )
         for press, hidden in zip(unit.presses, unit.hidden, strict=True)
     ]
     flat = float(np.mean([one.off(one.flat) for one in presses]))
@@ -226,7 +228,7 @@ def population(say: Say) -> Table:
     found: list[list[Cell]] = []
     for name, file in FILES.items():
         presses, flat, deepest = real[name]
-        own = drawn(sensor_of(file), likeness.TRAINING_DENTS, 0, deepest)
+        own = drawn(sensor_of(file), render_comparison.TRAINING_DENTS, 0, deepest)
         seen = [(unit, one) for unit, made in dents for one in made if one.steepest <= deepest]
         others, every = [one for unit, one in seen if unit != file], [one for _, one in seen]
         cells: list[Cell] = [name, len(presses), flat]

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tacgen.calibrate import light_equations, optics
+from tacgen.calibrate import optics, photometric_model
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -44,7 +44,7 @@ def main() -> None:
     unit = photographs.unit(asked.sensor, asked.photos)
     if unit is None:
         sys.exit(f"no photographs in {asked.photos or photographs.reference()}")
-    how = light_equations.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
+    how = photometric_model.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
     with tempfile.TemporaryDirectory() as scratch:
         into = Path(scratch) / "reference"
         lay_out(unit, photographs.UNTOUCHED[asked.sensor], into)

@@ -17,11 +17,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
-from tacgen.calibrate import optics, press_faces, unseen  # noqa: E402
-from tacgen.calibrate.fit_lights import TOLERANCE_RIDGES, Fits  # noqa: E402
-from tacgen.calibrate.light_equations import FitLimits  # noqa: E402
+from tacgen.calibrate import cross_validation, optics, solved_presses  # noqa: E402
+from tacgen.calibrate.photometric_fit import TOLERANCE_RIDGES, PhotometricFits  # noqa: E402
+from tacgen.calibrate.photometric_model import FitLimits  # noqa: E402
 from tacgen.calibrate.photos import Photos  # noqa: E402
-from tacgen.calibrate.plausible import digits, write_sensor  # noqa: E402
+from tacgen.calibrate.sensor_fit import digits, write_sensor  # noqa: E402
 from tacgen.recipe import assets, loading  # noqa: E402
 from tacgen.sensor.model import LitSensor  # noqa: E402
 
@@ -35,11 +35,11 @@ RIDGE = TOLERANCE_RIDGES[1]  # the shipped file's own fit chose it by presses th
 ROTATED = 5.0  # largest rotation of an LED [deg]
 
 
-def fit(sensor: LitSensor, unit: photographs.Unit, tolerance: float, steps: int) -> unseen.Fitted:
+def fit(sensor: LitSensor, unit: photographs.Unit, tolerance: float, steps: int) -> cross_validation.Fitted:
     """Fit to all presses of a unit; pixels that a dot hides are not compared."""
     photos = Photos(unit.folder, unit.untouched, unit.presses)
-    faces = [press_faces.face(sensor, press, {}) for press in unit.presses]
-    trial = Fits(sensor, photos, faces, FitLimits(tolerance, ROTATED, bare=True, steps=steps))
+    faces = [solved_presses.face(sensor, press, {}) for press in unit.presses]
+    trial = PhotometricFits(sensor, photos, faces, FitLimits(tolerance, ROTATED, bare=True, steps=steps))
     eye = trial.sensor.camera
     for picture, hidden in zip(trial.pictures, (np.any(unit.hidden, axis=0), *unit.hidden), strict=True):
         cells = hidden.reshape(eye.height_px, hidden.shape[0] // eye.height_px, eye.width_px, -1)

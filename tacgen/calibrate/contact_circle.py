@@ -29,11 +29,8 @@ def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
     if press.contact is None:
         return press
     change, given = press.picture.astype(float) - untouched, press.contact
-    angles, start, width = (
-        2 * np.pi * np.arange(CIRCLE_POINTS) / CIRCLE_POINTS,
-        np.array([*press.center, given]),
-        BEND_WIDTH * given,
-    )
+    angles = 2 * np.pi * np.arange(CIRCLE_POINTS) / CIRCLE_POINTS
+    start, width = np.array([*press.center, given]), BEND_WIDTH * given
     around = np.column_stack([np.cos(angles), np.sin(angles) / press.aspect])
     far = np.array(press.center) + CLEAR_RAY_RADII * given * around
     angles = angles[((far > 0) & (far < untouched.shape[1::-1])).all(axis=1)]
@@ -44,14 +41,8 @@ def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
         return -bend(change, circle, width, angles, press.aspect)
 
     first = start * [1, 1, min(RADIUS_STARTS, key=lambda share: loss(start * [1, 1, share]))]
-    reach = given * np.array(
-        [
-            [-MAX_CENTRE_SHIFT, MAX_CENTRE_SHIFT],
-            [-MAX_CENTRE_SHIFT, MAX_CENTRE_SHIFT],
-            [MIN_CIRCLE_RATIO - 1, MAX_CIRCLE_RATIO - 1],
-        ]
-    )
-    bounds = start[:, None] + reach
+    shift = [-MAX_CENTRE_SHIFT, MAX_CENTRE_SHIFT]
+    bounds = start[:, None] + given * np.array([shift, shift, [MIN_CIRCLE_RATIO - 1, MAX_CIRCLE_RATIO - 1]])
     simplex = np.clip(first + np.vstack([np.zeros(3), width * np.eye(3)]), *bounds.T)
     how = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-3}
     x, y, contact = minimize(loss, first, method="Nelder-Mead", bounds=bounds, options=how).x

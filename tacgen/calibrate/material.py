@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import fit_material, press_faces, press_forces
-from tacgen.calibrate.fit_material import MAX_MODULUS_FACTOR, MaterialFit
-from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
+from tacgen.calibrate import force_curves, material_fit, solved_presses
+from tacgen.calibrate.material_fit import MaterialFit, modulus_in_range
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit, digits, moduli
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 from tacgen.report import fit_figures
@@ -121,11 +121,8 @@ def _changes(row: Row, second: str, fitted: MaterialFit) -> dict[KeyPath, Any]:
             out[*here, key] = digits(factor.value * out.get((*here, key), getattr(layer, key)))
         if series and isinstance(layer, IsochoricLayer):
             out[*here, "prony"] = series
-        reach = f"{factor.low:.3g} to {factor.high:.3g} with 95 %"
-        out[*here, "source"] = (
-            f"{layer.source}; moduli times {factor.value:.4g} ({reach}), fitted to measured forces of a"
-            f" {row.recipe.indenter.shape} ({fitted.measured.name}) {MATERIAL_SOURCE}"
-        )
+        by = f"fitted to measured forces of a {row.recipe.indenter.shape} ({fitted.measured.name}) {MATERIAL_SOURCE}"
+        out[*here, "source"] = f"{layer.source}; moduli {factor.times}, {by}"
     return out
 
 
@@ -135,7 +132,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     Raises:
         UserError: unreadable or unusable input, or a press for which the solver fails.
     """
-    asked, measured, path = asked or Unknowns(), press_forces.read(table), assets.sensor_path(sensor)
+    asked, measured, path = asked or Unknowns(), force_curves.read(table), assets.sensor_path(sensor)
     sets = (f"sensor={path.resolve()}",)
     rows = plan.load(assets.recipe_path(recipe), sets).rows
     if len(rows) != 1:
@@ -145,30 +142,29 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
     if asked.terms and measured.time is None:
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
     deepest, start = float(measured.depth.max()), rows[0].recipe.start
-    if said := press_faces.depth_problem(
-        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.FIRST_TOUCH_RANGE
-    ):
+    deeper = 1 + force_curves.FIRST_TOUCH_RANGE
+    if said := solved_presses.problem(rows[0].sensor.gel, (start.x_mm, start.y_mm), deepest, deeper):
         raise UserError(f"{table}: depth_mm: the largest {said}")
-    depths = press_forces.depths_for(deepest)
+    depths = force_curves.depths_for(deepest)
     if asked.second:
         name, values, now = _range(asked.second, rows[0])
         varied = [plan.load(assets.recipe_path(recipe), (*sets, f"{name}={value!r}")).rows[0] for value in values]
-        forces = np.array([press_forces.solved(row, depths) for row in varied])
-        curves = press_forces.Curves(depths, forces, np.array(values))
+        forces = np.array([force_curves.solved(row, depths) for row in varied])
+        curves = force_curves.Curves(depths, forces, np.array(values))
     else:
         name, now = "", None
-        curves = press_forces.Curves(depths, press_forces.solved(rows[0], depths)[None])
+        curves = force_curves.Curves(depths, force_curves.solved(rows[0], depths)[None])
     simpler = {}
     try:
-        fitted = fit_material.fit(curves, measured, zero=asked.zero, terms=asked.terms)
+        fitted = material_fit.fit(curves, measured, zero=asked.zero, terms=asked.terms)
         if wrong := [f"{table}: {said}" for said in _undetermined(fitted, name)]:
             raise UserError(wrong)
         if asked.zero and (name or asked.terms):
-            simpler["modulus and zero"] = fit_material.fit(curves, measured, value=now)
+            simpler["modulus and zero"] = material_fit.fit(curves, measured, value=now)
         if name and (asked.zero or asked.terms):
-            simpler[f"modulus and {name}"] = fit_material.fit(curves, measured, zero=False)
+            simpler[f"modulus and {name}"] = material_fit.fit(curves, measured, zero=False)
         if asked.zero or name or asked.terms:
-            simpler["modulus"] = fit_material.fit(curves, measured, zero=False, value=now)
+            simpler["modulus"] = material_fit.fit(curves, measured, zero=False, value=now)
     except ValueError as error:
         raise UserError(f"{table}: {error}") from None
     return Material(path, rows[0].sensor, _changes(rows[0], asked.path, fitted), asked, fitted, simpler)
@@ -176,7 +172,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = Non
 
 def _undetermined(fitted: MaterialFit, second: str) -> Iterator[str]:
     """A message on the numbers that the forces do not determine, and what to measure."""
-    if not 2 / MAX_MODULUS_FACTOR < fitted["modulus"] < MAX_MODULUS_FACTOR / 2:
+    if not modulus_in_range(fitted["modulus"]):
         yield f"forces are as of a modulus {fitted['modulus']:.3g} times the file's: are they in N, and depths in mm?"
         return
     for e in fitted.estimates:
@@ -205,8 +201,4 @@ def _range(text: str, row: Row) -> tuple[str, list[float], float]:
         raise UserError(f"--second {text}: {name} is no number of the recipe or the sensor file")
     if not first <= now <= last:
         raise UserError(f"--second {text}: {name} is {now:g}, which the range must hold")
-    return (
-        name.strip(),
-        [first + (last - first) * k / (SECOND_PARAMETER_VALUES - 1) for k in range(SECOND_PARAMETER_VALUES)],
-        float(now),
-    )
+    return name.strip(), np.linspace(first, last, SECOND_PARAMETER_VALUES).tolist(), float(now)

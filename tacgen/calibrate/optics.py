@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import fit_lights, fit_scattering
+from tacgen.calibrate import photometric_fit, scattering_fit
 from tacgen.calibrate import photos as reading
-from tacgen.calibrate.light_equations import FitLimits
-from tacgen.calibrate.plausible import Evidence, SensorFit, digits, lit_sensor
-from tacgen.calibrate.unseen import Fitted
+from tacgen.calibrate.cross_validation import Fitted
+from tacgen.calibrate.photometric_model import FitLimits
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit, digits, lit_sensor
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
@@ -70,8 +70,9 @@ class Calibrated(SensorFit):
         unseen = self.fitted.unseen
         if unseen is None:
             return Evidence(unseen="the fit is not judged: it takes two presses at least")
-        better = unseen.better
-        return Evidence(unseen="" if better else f"the fit is not better on presses that it has not seen: {unseen}")
+        return Evidence(
+            unseen="" if unseen.better else f"the fit is not better on presses that it has not seen: {unseen}"
+        )
 
     def draw(self, out: Path) -> None:
         """Write a figure of the unseen presses: photographed, rendered before and after the fit.
@@ -97,9 +98,9 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     photos = reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID_FILE_KEY): loading.solid_folder(tree)} if sensor.gel.solid else {}
     if any(layer.scattering for layer in sensor.gel.clear_layers):
-        fitted = fit_scattering.fit(sensor, photos, folders)
+        fitted = scattering_fit.fit(sensor, photos, folders)
     else:
-        fitted = fit_lights.fit(sensor, photos, folders, asked)
+        fitted = photometric_fit.fit(sensor, photos, folders, asked)
     said = _said(photos)
     return Calibrated(path, sensor, changes_of(sensor, fitted, said, bare=asked.bare), said, photos.untouched, fitted)
 
@@ -129,11 +130,9 @@ def changes_of(sensor: LitSensor, fitted: Fitted, said: str, *, bare: bool) -> d
         out |= {(part, key): digits(getattr(after, key)) for key in new_keys}
         if new_keys:
             names = ", ".join(key.removesuffix("_mm") for key in new_keys)
-            own = (
-                before.source.split(f"; {new_keys[0].removesuffix('_mm')}")[0]
-                if OPTICS_SOURCE in before.source
-                else before.source
-            )
+            own = before.source
+            if OPTICS_SOURCE in own:  # of an earlier fit
+                own = own.split(f"; {new_keys[0].removesuffix('_mm')}")[0]
             out[part, "source"] = f"{own}; {names} {by}"
     if now.thickness_response is not None and now.thickness_response != sensor.thickness_response:
         table = now.thickness_response

@@ -4,6 +4,7 @@
 `calibrate unit`.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,10 +23,10 @@ PRESS_SIZE_COLUMNS = ("contact_radius_px", "depth_mm", "force_n")
 SATURATED_COUNT, MIN_MEAN_COUNT = 254, 5  # 8-bit counts
 MAX_SATURATED_SHARE = 0.01  # largest share of saturated pixels
 MIN_CHANGE_STD = 0.5  # counts: standard deviation of the change over a picture, below which it shows no press
-PRESS_COLUMN_RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "depth_mm": (1e-3, np.inf),
-          "force_n": (1e-3, 1e6)}  # fmt: skip
-GAUGED = ("file", "ball_radius_mm", "force_n")
-MAX_UNIT_NUMBER = 1e6  # [N], [s]: readings and times
+MAX_NUMBER = 1e6  # [N], [s], [px], [mm]: no press has more
+PRESS_COLUMN_RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, MAX_NUMBER),
+          "depth_mm": (1e-3, MAX_NUMBER), "force_n": (1e-3, MAX_NUMBER)}  # fmt: skip
+GAUGED_PRESS_COLUMNS = ("file", "ball_radius_mm", "force_n")
 LEAST_GAUGED = 4  # presses that show something
 MAX_BALL_SIZES = 5  # sizes: each takes minutes to solve
 
@@ -136,88 +137,70 @@ def _shows(picture: Array, untouched: Array) -> bool:
     return bool((picture.astype(float) - untouched).std(axis=(0, 1)).max() >= MIN_CHANGE_STD)
 
 
+def _number(
+    row: dict[str, str], column: str, said: str, wrong: list[str], low: float = -MAX_NUMBER, high: float = MAX_NUMBER
+) -> float:
+    """The number in a column; if it is none from `low` to `high`, a problem is added to `wrong`."""
+    value = csv_table.number(row[column])
+    if not low <= value <= high:
+        wrong.append(f"{said}: {column}: must be a number from {low:g} to {high:g} (got {row[column]!r})")
+    return value
+
+
 def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> PhotographedPress | None:
     """Read a row of the table; problems are added to `wrong`."""
-    said = f"{folder / PRESS_TABLE_FILE}:{line}"
-    name = row["file"]
+    said, name, before = f"{folder / PRESS_TABLE_FILE}:{line}", row["file"], len(wrong)
     if not name:
         wrong.append(f"{said}: file: is missing")
         return None
-    before = len(wrong)
-    number: dict[str, float] = {}
-    for column in (*NEEDED_PRESS_COLUMNS[1:], *PRESS_SIZE_COLUMNS):
-        text = row.get(column, "")
-        if not text and column in PRESS_SIZE_COLUMNS:
-            continue
-        number[column] = csv_table.number(text)
-        low, high = PRESS_COLUMN_RANGES.get(column, (-np.inf, np.inf))
-        if not low <= number[column] <= high:
-            reach = f" of at least {low:g}" if low > -np.inf else ""
-            reach += f" and at most {high:g}" if high < np.inf else ""
-            wrong.append(f"{said}: {column}: must be a number{reach} (got {text!r})")
-    if not any(column in number for column in PRESS_SIZE_COLUMNS):
+    given = [column for column in PRESS_SIZE_COLUMNS if row.get(column)]
+    number = {column: _number(row, column, said, wrong, *PRESS_COLUMN_RANGES.get(column, ()))
+              for column in (*NEEDED_PRESS_COLUMNS[1:], *given)}  # fmt: skip
+    if not given:
         wrong.append(f"{said}: must hold {', '.join(PRESS_SIZE_COLUMNS[:-1])} or {PRESS_SIZE_COLUMNS[-1]}")
     picture = read_picture(folder / name, camera, wrong)
     if len(wrong) > before:
         return None
-    x, y, contact = number["x_px"], number["y_px"], number.get("contact_radius_px")
+    ball, x, y = (number[column] for column in NEEDED_PRESS_COLUMNS[1:])
     if not (0 <= x <= camera.width_px and 0 <= y <= camera.height_px):
         wrong.append(f"{said}: ({x:g}, {y:g}) lies outside the picture")
-    if contact is not None and contact * camera.mm_per_px >= number["ball_radius_mm"]:
-        size = contact * camera.mm_per_px
+    contact, depth, force = (number.get(column) for column in PRESS_SIZE_COLUMNS)
+    if contact is not None and (size := contact * camera.mm_per_px) >= ball:
         wrong.append(f"{said}: contact_radius_px: is {size:.3g} mm, and the ball's radius {row['ball_radius_mm']}")
-    if len(wrong) > before:
-        return None
-    return PhotographedPress(
-        name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"), number.get("force_n"),
-        camera.aspect,
-    )  # fmt: skip
+    return PhotographedPress(name, picture, ball, (x, y), contact, depth, force, camera.aspect)
 
 
 def read_gauged(folder: Path, camera: Camera) -> GaugedPhotos:
     """The presses of a folder. Raises UserError: all that are missing or cannot be used, a line each."""
     usual, wrong = _untouched(folder), list[str]()
     pictures, presses = dict[str, Array](), list[GaugedPress]()
-    for line, row in csv_table.rows(folder / PRESS_TABLE_FILE, GAUGED, (), wrong):
+    for line, row in csv_table.rows(folder / PRESS_TABLE_FILE, GAUGED_PRESS_COLUMNS, (), wrong):
         said, before = f"{folder / PRESS_TABLE_FILE}:{line}", len(wrong)
-        force, time = _number(row, "force_n", said, wrong), np.nan
-        if row.get("time_s"):
-            time = _number(row, "time_s", said, wrong)
-        ball, (low, high) = csv_table.number(row["ball_radius_mm"]), PRESS_COLUMN_RANGES["ball_radius_mm"]
-        if not low <= ball <= high:
-            wrong.append(f"{said}: ball_radius_mm: must be from {low:g} to {high:g} (got {row['ball_radius_mm']!r})")
+        force = _number(row, "force_n", said, wrong)
+        time = _number(row, "time_s", said, wrong) if row.get("time_s") else np.nan
+        ball = _number(row, "ball_radius_mm", said, wrong, *PRESS_COLUMN_RANGES["ball_radius_mm"])
         plain = row.get("untouched") or (usual.name if usual else "")
         if not plain:
-            wrong.append(
-                f"{said}: has no untouched picture: {folder / UNTOUCHED_FILES[0]}, or one named in `untouched`"
-            )
-        for name in (row["file"], plain):
-            if name and name not in pictures and len(wrong) == before:
-                pictures[name] = read_picture(folder / name, camera, wrong)
+            missing = folder / UNTOUCHED_FILES[0]
+            wrong.append(f"{said}: has no untouched picture: {missing}, or one named in `untouched`")
         if not row["file"]:
             wrong.append(f"{said}: file: is missing")
+        for name in (row["file"], plain):
+            if len(wrong) == before and name not in pictures:
+                pictures[name] = read_picture(folder / name, camera, wrong)
         if len(wrong) == before:
             recording = row.get("recording") or f"press {len(presses) + 1}"
             both = pictures[row["file"]], pictures[plain]
             presses.append(GaugedPress(row["file"], *both, ball, force, recording, time))
-    if not wrong:
-        wrong += _problems(folder, presses)
+    wrong = wrong or _problems(folder / PRESS_TABLE_FILE, presses)
     if wrong:
         raise UserError(wrong)
     return GaugedPhotos(folder, tuple(presses))
 
 
-def _number(row: dict[str, str], column: str, said: str, wrong: list[str]) -> float:
-    value = csv_table.number(row[column])
-    if not abs(value) < MAX_UNIT_NUMBER:
-        wrong.append(f"{said}: {column}: must be a number below {MAX_UNIT_NUMBER:g} (got {row[column]!r})")
-    return value
-
-
-def _problems(folder: Path, presses: list[GaugedPress]) -> list[str]:
+def _problems(table: Path, presses: list[GaugedPress]) -> list[str]:
     """Problems of all presses together, a line each."""
-    table, wrong = folder / PRESS_TABLE_FILE, []
-    shown = sum(_shows(press.picture, press.untouched) for press in presses)
+    shown, wrong = sum(_shows(press.picture, press.untouched) for press in presses), []
     if shown < LEAST_GAUGED:
         wrong.append(f"{table}: {shown} of its pictures show a press, and a fit takes {LEAST_GAUGED} at least")
     forces = [press.force for press in presses]
@@ -227,9 +210,7 @@ def _problems(folder: Path, presses: list[GaugedPress]) -> list[str]:
         wrong.append(f"{table}: force_n: all forces are alike: press lightly and hard")
     if (count := len({press.ball for press in presses})) > MAX_BALL_SIZES:
         wrong.append(f"{table}: ball_radius_mm: has {count} sizes, and {MAX_BALL_SIZES} are the most")
-    seen: set[tuple[str, float]] = set()
-    for press in presses:
-        if (press.recording, press.time) in seen:
-            wrong.append(f"{table}: {press.name}: time_s: {press.time:.15g} is there twice in {press.recording}")
-        seen |= {(press.recording, press.time)} if np.isfinite(press.time) else set()
+    seen = Counter((press.recording, press.time) for press in presses if np.isfinite(press.time))
+    wrong += [f"{table}: time_s: {time:.15g} is there twice in {recording}"
+              for (recording, time), times in seen.items() if times > 1]  # fmt: skip
     return wrong

@@ -1,6 +1,7 @@
 """Calibration of a sensor file to one unit: gel thickness, modulus, zero of the gauge and lights from ball presses."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -8,17 +9,23 @@ from typing import Any
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import ball_dents, fit_lights, fit_unit, plausible, press_colours, unseen
+from tacgen.calibrate import (
+    cross_validation,
+    dent_tables,
+    indentation_fit,
+    photometric_fit,
+    press_localisation,
+    sensor_fit,
+)
 from tacgen.calibrate import photos as reading
-from tacgen.calibrate.ball_dents import Dents, with_thickness
-from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
-from tacgen.calibrate.light_equations import FitLimits
+from tacgen.calibrate.cross_validation import Fitted
+from tacgen.calibrate.dent_tables import with_thickness
+from tacgen.calibrate.indentation_fit import Gauge, GaugedPresses, HeldOutForces, IndentationFit
 from tacgen.calibrate.optics import changes_of
+from tacgen.calibrate.photometric_model import FitLimits
 from tacgen.calibrate.photos import PRESS_TABLE_FILE, GaugedPhotos, PhotographedPress, Photos
-from tacgen.calibrate.plausible import Evidence, SensorFit, digits, moduli
-from tacgen.calibrate.press_colours import PressPicture, PressView
-from tacgen.calibrate.unseen import Fitted
-from tacgen.optics.camera import PinholeCamera
+from tacgen.calibrate.press_localisation import PressView
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit, digits, moduli
 from tacgen.optics.surface_grid import Untouched
 from tacgen.recipe import assets
 from tacgen.report import fit_figures
@@ -61,8 +68,8 @@ class Unit(SensorFit):
     gauge: Gauge
     drift: float  # share of the pictures' changes that light explains which drifts, without any dent
     asked: Asked
-    fitted: UnitFit
-    judged: tuple[Judged, ...]  # each of some held-out presses
+    fitted: IndentationFit
+    judged: tuple[HeldOutForces, ...]  # each of some held-out presses
     lights: Fitted | None
 
     @property
@@ -83,11 +90,10 @@ class Unit(SensorFit):
         yield f"{self.sensor.name}: fitted to {self.said}"
         yield from (f"  {line}" for line in self.found())
         yield f"  friction {self.asked.friction:g}: assumed"
-        yield (f"pictures: dents of these balls explain {100 * fitted.optics.explained:.0f} % of the change, light that"
+        yield (f"pictures: dents of these balls explain {100 * fitted.scan.explained:.0f} % of the change, light that"
                f" drifts {100 * self.drift:.0f} %")  # fmt: skip
-        readings = [press.force for press in self.photos.presses]
-        off = sum(abs(a - b) for a, b in zip(fitted.force, readings, strict=True)) / len(readings)
-        yield f"forces that the fit has seen: off by {off:.2f} N in the mean (from 0 to {max(readings):.3g} N)"
+        off, most = np.abs(fitted.force - self.gauge.force).mean(), self.gauge.force.max()
+        yield f"forces that the fit has seen: off by {off:.2f} N in the mean (from 0 to {most:.3g} N)"
         yield from self.unseen()
         if self.lights is not None:
             yield f"untouched: off by {self.lights.untouched:.1f} counts rms (before the fit: {self.lights.before:.1f})"
@@ -98,8 +104,8 @@ class Unit(SensorFit):
     def found(self) -> Iterator[str]:
         """Each number with its interval."""
         fitted, gel = self.fitted, self.sensor.gel
-        yield fitted.thickness.told("thickness", " mm") if self.asked.thickness else (
-            f"thickness: {gel.thickness_mm:g} mm, the file's")  # fmt: skip
+        thickness = fitted.thickness.told("thickness", " mm")
+        yield thickness if self.asked.thickness else f"thickness: {gel.thickness_mm:g} mm, the file's"
         yield fitted.modulus.told("moduli", " times the file's")
         yield from fitted.modulus.told_of(self.changes)
         yield fitted.zero.told("zero of the gauge", " N")
@@ -127,7 +133,7 @@ class Unit(SensorFit):
         every = {"thickness_mm": fitted.thickness, "modulus": fitted.modulus, "zero_n": fitted.zero}
         every |= {f"lag_s {self.photos.recordings[k]}": lag for k, lag in fitted.lags.items()}
         return {
-            "sensor": self.sensor.name, "explained": fitted.optics.explained, "drift": self.drift,
+            "sensor": self.sensor.name, "explained": fitted.scan.explained, "drift": self.drift,
             "estimates": {name: {"value": e.value, "low": e.low, "high": e.high} for name, e in every.items()},
             "presses": [{"file": press.name, "force_n": press.force, "fitted_n": float(force), "depth_mm": float(depth)}
                         for press, force, depth in zip(self.photos.presses, fitted.force, fitted.depth, strict=True)],
@@ -152,120 +158,14 @@ class Unit(SensorFit):
             if error >= guess:
                 no_better = (f"forces of presses that it has not seen are off by {error:.2f} N, and the mean of the"
                              f" seen forces by {guess:.2f} N")  # fmt: skip
-        forces = fitted.force, self.gauge.force, self.gauge.doubt
-        return Evidence(forces, (fitted.optics.explained, self.drift), no_better)
+        forces = fitted.force, self.gauge.force, self.gauge.error_factors
+        return Evidence(forces, (fitted.scan.explained, self.drift), no_better)
 
     def draw(self, out: Path) -> None:
         """Plot fitted over measured forces, seen and unseen, into `out`."""
-        seen = [
-            (press.force, float(force)) for press, force in zip(self.photos.presses, self.fitted.force, strict=True)
-        ]
+        seen = list(zip(self.gauge.force.tolist(), self.fitted.force.tolist(), strict=True))
         unseen = [pair for one in self.judged for pair in zip(one.force, one.predicted, strict=True)]
         fit_figures.computed_over_measured(seen, unseen, out)
-
-
-@dataclass(frozen=True)
-class Work:
-    """All that the steps share."""
-
-    sensor: LitSensor
-    photos: GaugedPhotos
-    asked: Asked
-    view: PressView
-    pictures: tuple[PressPicture, ...]
-    gauge: Gauge
-    dents: tuple[Mapping[float, Dents], ...]  # by tried thickness, then by the ball's radius
-
-    @classmethod
-    def of(cls, sensor: LitSensor, photos: GaugedPhotos, asked: Asked) -> "Work":
-        """Solve presses of each ball at each tried thickness; minutes, unless they are in the cache.
-
-        Raises UserError: presses that cannot be solved.
-        """
-        view, number = PressView(sensor), {name: k for k, name in enumerate(photos.recordings)}
-        pictures = tuple(view.picture(p.picture, p.untouched, p.ball, number[p.recording]) for p in photos.presses)
-        gauge = Gauge(*(np.array(part) for part in zip(
-            *((p.force, number[p.recording], p.time) for p in photos.presses), strict=True)))  # fmt: skip
-        rough = view.starts(pictures)
-        step = sensor.gel.thickness_mm / 2  # rounded, so that other presses of the unit find them in the cache
-        x, y = (float(step * np.round(v / step)) for v in np.median(rough[:, 1:], axis=0))
-        tried = fit_unit.THICKNESS_FACTORS if asked.thickness else (1.0,)
-        dents = []
-        for factor in tried:
-            one = with_thickness(sensor, factor * sensor.gel.thickness_mm)
-            each = {}
-            for ball in sorted({picture.ball for picture in pictures}):
-                here = [k for k, picture in enumerate(pictures) if picture.ball == ball]
-                widest = np.log(CONTACT_RADIUS_MARGIN * np.sqrt(1.6 * ball * rough[here, 0].max())) / np.log(
-                    CONTACT_RADIUS_RATIO
-                )
-                most = round(float(CONTACT_RADIUS_RATIO ** np.ceil(widest)), 3)
-                each[ball] = ball_dents.solved(one, ball, (x, y), most, asked.friction, asked.quality)
-            dents.append(each)
-        return cls(sensor, photos, asked, view, pictures, gauge, tuple(dents))
-
-    def fitted(self) -> UnitFit:
-        """The fit to all presses. Raises UserError: too few presses."""
-        optics = fit_unit.optics(self.view, self.pictures, self.dents)
-        try:
-            return fit_unit.fit(optics, self.pictures, self.dents, self.gauge)
-        except ValueError as error:
-            raise UserError(f"{self.photos.folder / PRESS_TABLE_FILE}: {error}") from None
-
-    def too_deep(self, found: UnitFit) -> Iterator[str]:
-        """A line on each press that is deeper than what is solved."""
-        k = found.optics.between(found.optics.best)[0]
-        for press, picture, depth in zip(self.photos.presses, self.pictures, found.depth, strict=True):
-            if depth > DEEPEST_SOLVED_SHARE * (deepest := self.dents[k][picture.ball].depth[-1]):
-                yield (f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
-                       f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
-
-    def judged(self) -> tuple[Judged, ...]:
-        """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
-        names = self.photos.recordings
-        group = self.gauge.recording if len(names) > 1 else np.arange(len(self.pictures))
-        out = []
-        for held in unseen.folds(int(group.max()) + 1):
-            where = np.isin(group + 1, held)
-            name = (
-                ", ".join(names[k - 1] for k in held)
-                if len(held) == 1 and len(names) > 1
-                else f"{where.sum()} held out"
-            )
-            try:
-                _, found = fit_unit.judge(self.view, self.pictures, self.dents, self.gauge, where)
-            except ValueError:
-                continue  # the others are too few
-            out.append(replace(found, name=name))
-        return tuple(out)
-
-    def at_thickness(self, fitted: UnitFit) -> LitSensor:
-        """The sensor with the fitted thickness."""
-        return with_thickness(self.sensor, fitted.thickness.value) if self.asked.thickness else self.sensor
-
-    def lights(self, fitted: UnitFit) -> Fitted:
-        """The lights of the sensor with the fitted thickness, fitted to how some of the presses at their found depths
-        change the picture: the untouched one, with its glare, can be the background of rendered pictures."""
-        deep = [k for k in np.argsort(fitted.depth) if fitted.depth[k] > MIN_LIGHT_FIT_DEPTH * fitted.depth.max()]
-        some = [int(deep[round(k)]) for k in np.linspace(0, len(deep) - 1, min(LIGHT_FIT_PRESSES, len(deep)))]
-        sensor = self.at_thickness(fitted)
-        photos = Photos(self.photos.folder, self.photos.presses[0].untouched, self._shown(fitted, some))
-        untouched = Untouched.of(sensor.gel)
-        faces = [fitted.face(untouched, self.dents, self.pictures[n].ball, n) for n in some]
-        return fit_lights.fit_faces(sensor, photos, faces, self.asked.limits, changes=True)
-
-    def _shown(self, fitted: UnitFit, some: list[int]) -> tuple[PhotographedPress, ...]:
-        """Some presses, shown as changes of the first untouched picture."""
-        best, camera = fitted.optics.between(fitted.optics.best)[0], PinholeCamera.from_sensor(self.sensor)
-        first, out = self.photos.presses[0].untouched, []
-        for k in some:
-            press, (_, x, y), depth = self.photos.presses[k], fitted.optics.placed[best].at[k], float(fitted.depth[k])
-            center = camera.project([[x, y, -depth]])[0]
-            contact = self.dents[best][press.ball].contact_at(depth) / camera.mm_per_px
-            shown = np.clip(first + (press.picture.astype(float) - press.untouched), 0, 255).astype(np.uint8)
-            at, ball = (float(center[0]), float(center[1])), press.ball
-            out.append(PhotographedPress(press.name, shown, ball, at, contact, depth, aspect=camera.aspect))
-        return tuple(out)
 
 
 def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
@@ -274,32 +174,111 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     Raises:
         UserError: presses that are missing, cannot be used, or do not determine a number, a line each.
     """
-    asked, path = asked or Asked(), assets.sensor_path(name)
+    asked, path, table = asked or Asked(), assets.sensor_path(name), folder / PRESS_TABLE_FILE
     if not 0 <= asked.friction <= 10:  # nor nan
         raise UserError(f"--friction: must be from 0 to 10 (got {asked.friction:g})")
-    sensor, _ = plausible.lit_sensor(path)
+    sensor, _ = sensor_fit.lit_sensor(path)
     if sensor.gel.solid is not None or any(layer.scattering for layer in sensor.gel.clear_layers):
         raise UserError(f"{path}: gel: must be a pad that is clear: the rim of a contact shows on such a gel alone")
     photos = reading.read_gauged(folder, sensor.camera)
-    work = Work.of(sensor, photos, asked)
-    raw = work.fitted()
-    drift = press_colours.drift(work.pictures, work.gauge.recording, work.gauge.time)
-    if wrong := [*work.too_deep(raw), *_undetermined(raw, folder / PRESS_TABLE_FILE)]:
-        no_dents = plausible.no_dents(raw.optics.explained, drift)
-        raise UserError(f"{folder / PRESS_TABLE_FILE}: {no_dents}" if no_dents else wrong)
-    fitted = fit_unit.corrected(raw, work.at_thickness(raw), work.view, work.pictures, work.dents, work.gauge)
-    judged, lights = work.judged(), work.lights(fitted) if asked.lights else None
-    made = Unit(path, sensor, {}, photos, work.gauge, drift, asked, fitted, judged, lights)
-    return replace(made, changes=_changes(made, work.at_thickness(fitted)))
+    presses = _with_solved_dents(sensor, photos, asked)
+    try:
+        raw = indentation_fit.fit(indentation_fit.thickness_scan(presses), presses)
+    except ValueError as error:
+        raise UserError(f"{table}: {error}") from None
+    drift = press_localisation.drift(presses.pictures, presses.gauge.recording, presses.gauge.time)
+    if wrong := [*_too_deep(raw, photos, presses), *_undetermined(raw, table)]:
+        no_dents = sensor_fit.no_dents(raw.scan.explained, drift)
+        raise UserError(f"{table}: {no_dents}" if no_dents else wrong)
+    fitted = indentation_fit.corrected(raw, _at_thickness(sensor, raw, asked), presses)
+    now = _at_thickness(sensor, fitted, asked)
+    lights = _lights(now, fitted, photos, presses, asked.limits) if asked.lights else None
+    made = Unit(path, sensor, {}, photos, presses.gauge, drift, asked, fitted, _held_out(photos, presses), lights)
+    return replace(made, changes=_changes(made, now))
 
 
-def _undetermined(fitted: UnitFit, table: Path) -> Iterator[str]:
+def _with_solved_dents(sensor: LitSensor, photos: GaugedPhotos, asked: Asked) -> GaugedPresses:
+    """Solve presses of each ball at each tried thickness; minutes, unless they are in the cache.
+
+    Raises UserError: presses that cannot be solved.
+    """
+    view, number = PressView(sensor), {name: k for k, name in enumerate(photos.recordings)}
+    pictures = [view.picture(p.picture, p.untouched, p.ball, number[p.recording]) for p in photos.presses]
+    readings = [(p.force, number[p.recording], p.time) for p in photos.presses]
+    gauge = Gauge(*(np.array(part) for part in zip(*readings, strict=True)))
+    rough = view.starts(pictures)
+    step = sensor.gel.thickness_mm / 2  # rounded, so that other presses of the unit find them in the cache
+    x, y = (float(step * np.round(v / step)) for v in np.median(rough[:, 1:], axis=0))
+    widest = {}
+    for ball in sorted({picture.ball for picture in pictures}):
+        deepest = max(depth for depth, picture in zip(rough[:, 0], pictures, strict=True) if picture.ball == ball)
+        contact = CONTACT_RADIUS_MARGIN * np.sqrt(1.6 * ball * deepest)
+        widest[ball] = round(float(CONTACT_RADIUS_RATIO ** np.ceil(np.log(contact) / np.log(CONTACT_RADIUS_RATIO))), 3)
+    tried = indentation_fit.THICKNESS_FACTORS if asked.thickness else (1.0,)
+    gels = [with_thickness(sensor, factor * sensor.gel.thickness_mm) for factor in tried]
+    dents = [
+        {
+            ball: dent_tables.solved(gel, ball, (x, y), most, asked.friction, asked.quality)
+            for ball, most in widest.items()
+        }
+        for gel in gels
+    ]
+    return GaugedPresses(view, pictures, gauge, dents)
+
+
+def _at_thickness(sensor: LitSensor, fitted: IndentationFit, asked: Asked) -> LitSensor:
+    """The sensor with the fitted thickness."""
+    return with_thickness(sensor, fitted.thickness.value) if asked.thickness else sensor
+
+
+def _too_deep(found: IndentationFit, photos: GaugedPhotos, presses: GaugedPresses) -> Iterator[str]:
+    """A line on each press that is deeper than what is solved."""
+    for press, depth in zip(photos.presses, found.depth, strict=True):
+        if depth > DEEPEST_SOLVED_SHARE * (deepest := presses.dents[found.scan.below][press.ball].depth[-1]):
+            yield (f"{photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
+                   f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
+
+
+def _held_out(photos: GaugedPhotos, presses: GaugedPresses) -> tuple[HeldOutForces, ...]:
+    """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
+    names = photos.recordings
+    group = presses.gauge.recording if len(names) > 1 else np.arange(len(presses.pictures))
+    out = []
+    for held in cross_validation.folds(int(group.max()) + 1):
+        where = np.isin(group + 1, held)
+        name = names[held[0] - 1] if len(held) == 1 and len(names) > 1 else f"{where.sum()} held out"
+        with suppress(ValueError):  # the others are too few
+            out.append(replace(indentation_fit.held_out_forces(presses, where), name=name))
+    return tuple(out)
+
+
+def _lights(
+    sensor: LitSensor, fitted: IndentationFit, photos: GaugedPhotos, presses: GaugedPresses, limits: FitLimits
+) -> Fitted:
+    """The lights of the sensor with the fitted thickness, fitted to how some of the presses at their found depths
+    change the first untouched picture, which, with its glare, can be the background of rendered pictures."""
+    deep = [k for k in np.argsort(fitted.depth) if fitted.depth[k] > MIN_LIGHT_FIT_DEPTH * fitted.depth.max()]
+    some = [int(deep[round(k)]) for k in np.linspace(0, len(deep) - 1, min(LIGHT_FIT_PRESSES, len(deep)))]
+    first, untouched, camera = photos.presses[0].untouched, Untouched.of(sensor.gel), presses.view.camera
+    faces, shown = [fitted.face(untouched, presses, k) for k in some], []
+    for k, face in zip(some, faces, strict=True):
+        press, (depth, x, y) = photos.presses[k], face.press
+        right, down = camera.project([[x, y, -depth]])[0].tolist()
+        contact = presses.dents[fitted.scan.below][press.ball].contact_at(depth) / camera.mm_per_px
+        picture = np.clip(first + (press.picture.astype(float) - press.untouched), 0, 255).astype(np.uint8)
+        shown.append(
+            PhotographedPress(press.name, picture, press.ball, (right, down), contact, depth, aspect=camera.aspect)
+        )
+    return photometric_fit.fit_faces(sensor, Photos(photos.folder, first, tuple(shown)), faces, limits, changes=True)
+
+
+def _undetermined(fitted: IndentationFit, table: Path) -> Iterator[str]:
     """A line on each number that the presses do not determine, and what to measure."""
-    if (share := fitted.optics.explained) < MIN_EXPLAINED_SHARE:
+    if (share := fitted.scan.explained) < MIN_EXPLAINED_SHARE:
         yield (f"{table}: dents of these balls explain {100 * share:.0f} % of the pictures' change: are"
                " radii, mm_per_px and the untouched picture right?")  # fmt: skip
         return
-    tried = fitted.optics.thickness
+    tried = fitted.scan.thickness
     for name in fitted.open:
         reach = f" within {tried[0]:.3g} to {tried[-1]:.3g} mm" if name == "thickness" else ""
         yield f"{table}: {name}: is not determined{reach} by these presses: {UNIT_MEASURE_HINTS[name.split()[0]]}"
@@ -311,19 +290,16 @@ def _changes(made: Unit, now: LitSensor) -> dict[KeyPath, Any]:
     if made.lit and made.lights is not None:
         out |= changes_of(now, made.lights, f"presses of one unit ({made.photos.folder.resolve().name})",
                           bare=made.asked.limits.bare)  # fmt: skip
-    thickness, modulus = fitted.thickness, fitted.modulus
+    thickness, modulus, thick = fitted.thickness, fitted.modulus, ""
+    if made.asked.thickness:
+        reach = f"{thickness.low:.3g} to {thickness.high:.3g} with 95 %"
+        thick = f"the gel's thickness {thickness.value:.3g} mm ({reach}), "
     for k, (layer, new) in enumerate(zip(made.sensor.gel.layers, now.gel.layers, strict=True)):
         here: KeyPath = ("gel", "layers", k)
         if made.asked.thickness:
             out[*here, "thickness_mm"] = digits(new.thickness_mm)
         out |= {(*here, key): digits(modulus.value * getattr(layer, key)) for key in moduli(layer)}
-        thick = (
-            f"the gel's thickness {thickness.value:.3g} mm ({thickness.low:.3g} to {thickness.high:.3g} with 95 %), "
-        )
-        out[*here, "source"] = (
-            f"{layer.source}; {thick if made.asked.thickness else ''}moduli times {modulus.value:.4g}"
-            f" ({modulus.low:.3g} to {modulus.high:.3g} with 95 %), fitted to {made.said} {UNIT_SOURCE}"
-        )
+        out[*here, "source"] = f"{layer.source}; {thick}moduli {modulus.times}, fitted to {made.said} {UNIT_SOURCE}"
     for k, led in enumerate(now.leds):
         if led.center_mm != made.sensor.leds[k].center_mm:
             out.setdefault(("leds", k, "center_mm"), [round(v, 3) for v in led.center_mm])

@@ -8,7 +8,7 @@ import typer
 from tacgen.cli.common import AsJson, Overwrite, allowed, show_result, written
 
 if TYPE_CHECKING:
-    from tacgen.calibrate.plausible import SensorFit
+    from tacgen.calibrate.sensor_fit import SensorFit
 
 calibrations = typer.Typer(
     no_args_is_help=True, help="Fit a sensor file to your own unit: lights to photographs, gel to forces."
@@ -43,7 +43,7 @@ def optics(
 ) -> None:
     """Fit a sensor file to photographs of your own unit: LED radiances and positions, stray light, gloss, crop."""
     from tacgen.calibrate import optics as fitting
-    from tacgen.calibrate.light_equations import FitLimits
+    from tacgen.calibrate.photometric_model import FitLimits
 
     inputs = [Path(sensor), images]
     allowed((out, figure), inputs, overwrite)
@@ -104,7 +104,7 @@ def unit(
 ) -> None:
     """Fit gel thickness, moduli, zero of the gauge and lights to photographed ball presses with forces."""
     from tacgen.calibrate import unit as fitting
-    from tacgen.calibrate.light_equations import FitLimits
+    from tacgen.calibrate.photometric_model import FitLimits
 
     inputs = [Path(sensor), images]
     allowed((out, plot), inputs, overwrite)

@@ -9,8 +9,8 @@ import pytest
 from benchmarks import photographs, real, summary
 from benchmarks.real import Samples
 from tacgen.calibrate import normal_net
-from tacgen.calibrate.likeness import Comparison, PictureOfPress, circle
 from tacgen.calibrate.normal_net import NormalNet
+from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, circle
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor

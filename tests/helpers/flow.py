@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tacgen.calibrate import press_faces
+from tacgen.calibrate import solved_presses
 from tacgen.optics import coating
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
@@ -43,7 +43,9 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
         "contact": {"friction": 2.0}, "outputs": ["force"], "quality": quality,
         "trajectory": [{"press": {"depth_mm": DEPTHS[name], "frames": 1}}, {"slide": {"x_mm": SHEAR, "frames": 1}}],
     }  # fmt: skip
-    untouched, _, moved = press_faces.faces(plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows[0])
+    untouched, _, moved = solved_presses.faces(
+        plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows[0]
+    )
     return sensor, untouched, moved
 
 

@@ -3,8 +3,8 @@
 import pytest
 
 from benchmarks import photographs
-from tacgen.calibrate import press_faces
-from tacgen.calibrate.likeness import Comparison
+from tacgen.calibrate import solved_presses
+from tacgen.calibrate.render_comparison import Comparison
 from tacgen.recipe import assets, loading
 
 
@@ -22,5 +22,5 @@ def sensor(name: str):
 def against_photographs(name: str):
     """A shipped sensor's likeness to its unit's presses."""
     unit, shipped = photographs.unit(name), sensor(name)
-    faces = [press_faces.face(shipped, press, {}) for press in unit.presses]
+    faces = [solved_presses.face(shipped, press, {}) for press in unit.presses]
     return Comparison(shipped).likeness(unit.presses, faces, unit.untouched)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from hostile import attempts
 from hostile.mutations import damaged_input, files
 from tacgen.base.errors import UserError
-from tacgen.calibrate import press_forces
+from tacgen.calibrate import force_curves
 from tacgen.cli import main as cli
 
 NUMBERS = (
@@ -97,12 +97,12 @@ def test_damaged_measurements(
 ) -> None:
     """Solved forces are replaced by a formula, and the network that judges normals hardly learns."""
     for name, few in (
-        ("likeness.TRAINING_DENTS", 2),
+        ("render_comparison.TRAINING_DENTS", 2),
         ("normal_net.ENSEMBLE_SIZE", 1),
         ("normal_net.MAX_LBFGS_STEPS", 2),
     ):
         monkeypatch.setattr(f"tacgen.calibrate.{name}", few)
-    monkeypatch.setattr(press_forces, "solved", lambda row, depths: np.maximum(depths, 0) ** 1.5)
+    monkeypatch.setattr(force_curves, "solved", lambda row, depths: np.maximum(depths, 0) ** 1.5)
     calibrated(source, source / kind)  # what it imports and compiles, each child has
     bad, outcomes = [], set()
     for seed in range(count):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.tiny import PLAIN, cloudy, sensor
 
-from tacgen.calibrate import likeness
+from tacgen.calibrate.render_comparison import circle
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.render import images, tensor_drawing, traced_maps
@@ -37,7 +37,10 @@ def test_a_contact_circle_is_an_ellipse_in_such_a_picture() -> None:
     one, other = BallDent.seen(square, 2.0, (22.0, 14.0), 4.0), BallDent.seen(flat, 2.0, (22.0, 7.0), 4.0)
     assert other.contact == pytest.approx(one.contact, abs=1e-9)
     assert other.center == pytest.approx(one.center, abs=1e-9)
-    inside = likeness.circle((32, 40), (22.0, 14.0), 4.0), likeness.circle((16, 40), (22.0, 7.0), 4.0, 2.0)
+    inside = (
+        circle((32, 40), (22.0, 14.0), 4.0),
+        circle((16, 40), (22.0, 7.0), 4.0, 2.0),
+    )
     assert 2 * inside[1].sum() == pytest.approx(inside[0].sum(), rel=0.1)
 
 

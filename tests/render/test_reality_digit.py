@@ -5,7 +5,7 @@ import pytest
 from helpers import reality
 
 from benchmarks import photographs
-from tacgen.calibrate import press_faces
+from tacgen.calibrate import solved_presses
 from tacgen.render import images, mitsuba_variants
 
 pytestmark = reality.needs("digit")
@@ -44,7 +44,7 @@ def changes(renderer, untouched):
     """A press that is far from the picture's edges, and its change of colour [counts]: photographed, rendered."""
     unit = photographs.unit("digit")
     press = next(one for one in unit.presses if one.name == "sphere_0005.png")
-    made = renderer.develop(renderer.image(press_faces.face(renderer.sensor, press, {})))
+    made = renderer.develop(renderer.image(solved_presses.face(renderer.sensor, press, {})))
     return press, press.picture.astype(float) - unit.untouched, made.astype(float) - untouched
 
 

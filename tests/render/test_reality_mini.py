@@ -5,7 +5,7 @@ import pytest
 from helpers import reality
 
 from benchmarks import photographs
-from tacgen.calibrate import likeness, normal_net
+from tacgen.calibrate import normal_net, render_comparison
 from tacgen.render import images, mitsuba_variants
 
 pytestmark = reality.needs("gelsight_mini")
@@ -44,7 +44,7 @@ def test_dots_are_as_large_and_as_dark_as_on_a_real_gel():
 @pytest.mark.slow
 def test_colours_change_with_the_slope_as_on_the_real_unit_and_a_net_learns_from_them(monkeypatch):
     """Half the dents and steps of a calibration."""
-    monkeypatch.setattr(likeness, "TRAINING_DENTS", 96)
+    monkeypatch.setattr(render_comparison, "TRAINING_DENTS", 96)
     monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 150)
     found = reality.against_photographs("gelsight_mini")
     assert found.contrast == pytest.approx(1.0, abs=0.1)

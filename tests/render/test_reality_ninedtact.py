@@ -5,7 +5,7 @@ import pytest
 from helpers import reality
 
 from benchmarks import photographs
-from tacgen.calibrate import press_faces
+from tacgen.calibrate import solved_presses
 from tacgen.render import images
 
 pytestmark = [pytest.mark.slow, reality.needs("ninedtact")]
@@ -16,7 +16,7 @@ def test_the_press_is_like_the_photographed_one():
     renderer, (press,) = images.Renderer(sensor, 24, 0, markers=False), unit.presses
     made0 = renderer.develop(renderer.flat())
     assert made0.mean(axis=(0, 1)) == pytest.approx(unit.untouched.mean(axis=(0, 1)), abs=5)
-    made = renderer.develop(renderer.image(press_faces.face(sensor, press, {})))
+    made = renderer.develop(renderer.image(solved_presses.face(sensor, press, {})))
     grey, rendered = (
         a.astype(float).mean(axis=2) - b.mean(axis=2) for a, b in ((press.picture, unit.untouched), (made, made0))
     )

@@ -7,7 +7,7 @@ whose weight suits unseen presses best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,11 +15,11 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import press_faces
-from tacgen.calibrate import unseen as judging
-from tacgen.calibrate.likeness import ChangeLikeness
+from tacgen.calibrate import cross_validation as judging
+from tacgen.calibrate import solved_presses
+from tacgen.calibrate.cross_validation import Fitted, HeldOutPresses, folds, rgb, rms
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.unseen import Fitted, Unseen, folds, rgb, rms
+from tacgen.calibrate.render_comparison import ChangeLikeness
 from tacgen.optics import camera_response, scattering
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView
@@ -101,65 +101,70 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitt
         raise UserError(
             f"{photos.folder / name}: needs depth_mm: through a gel that scatters no edge shows" for name in shallow
         )
-    press_faces.check(sensor, photos, DEPTH_FACTORS[-1])
+    solved_presses.check(sensor, photos, DEPTH_FACTORS[-1])
     light = images.Renderer(sensor, FIT_SPP, 0, False).light
     assert isinstance(light, images.Cloudy)
-    maps = light.maps
-    lights = powers(sensor, maps, photos.untouched)
-    leds = zip(sensor.leds, lights, strict=True)
-    made = sensor.model_copy(
-        update={"leds": tuple(led.model_copy(update={"radiance": rgb(row), "power": 1.0}) for led, row in leds)}
-    )
-    now, before = (_off(s, maps, photos.untouched) for s in (made, sensor))
+    each = zip(sensor.leds, powers(sensor, light.maps, photos.untouched), strict=True)
+    leds = tuple(led.model_copy(update={"radiance": rgb(row), "power": 1.0}) for led, row in each)
+    made = sensor.model_copy(update={"leds": leds})
+    now, before = (_off(s, light.maps, photos.untouched) for s in (made, sensor))
     if not photos.presses:
         return Fitted(made, now, before)
-    renders = Renders(sensor, made, photos, folders)
-    every, groups = list(range(len(photos.presses))), folds(len(photos.presses))
-    if not groups:
-        off, response, i = renders.best(every, GAIN_RIDGES[-1])
-        return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], ridge=GAIN_RIDGES[-1])
+    renders, groups = Renders.of(made, photos, folders), folds(len(photos.presses))
+    ridge, unseen = _held_out(renders, sensor, photos, groups) if groups else (GAIN_RIDGES[-1], None)
+    off, response, i = renders.best(list(range(len(photos.presses))), ridge)
+    sure = renders.determined(i, ridge) if unseen else {}
+    return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], unseen, ridge, sure)
+
+
+def _held_out(
+    renders: "Renders", sensor: LitSensor, photos: Photos, groups: list[list[int]]
+) -> tuple[float, HeldOutPresses]:
+    """The ridge that suits unseen presses best, and the scores of its fits, each to all but one group of presses."""
     held_out = [k - 1 for group in groups for k in group]
     tried: list[list[Choice]] = []
+    seen = [[k for k in range(len(photos.presses)) if k + 1 not in group] for group in groups]
     for ridge in GAIN_RIDGES:
-        fits: list[Choice] = [renders.best([k for k in every if k + 1 not in group], ridge)[1:] for group in groups]
-        tried.append([fit for group, fit in zip(groups, fits, strict=True) for _ in group])
+        fits: list[Choice] = [renders.best(some, ridge)[1:] for some in seen]
+        tried.append([fit for fit, group in zip(fits, groups, strict=True) for _ in group])
     start: list[Choice] = [(sensor.thickness_response, DEPTH_FACTORS.index(1.0))] * len(held_out)
     counts = np.array([
         [renders.off(k, *fit) for k, fit in zip(held_out, choices, strict=True)]
         for choices in (start, *tried)
     ])  # fmt: skip
     number = int(np.argmin(counts[1:].mean(axis=1)))
-    alike = [renders.likeness(held_out, choices) for choices in (start, tried[number])]
-    unseen = Unseen(
-        tuple(photos.presses[k] for k in held_out),
-        tuple(renders.faces[k][i] for k, (_, i) in zip(held_out, tried[number], strict=True)),
-        tuple(renders.sensor(response) for response, _ in tried[number]), counts[[0, number + 1]], (alike[0], alike[1]),
-    )  # fmt: skip
-    off, response, i = renders.best(every, GAIN_RIDGES[number])
-    return Fitted(renders.sensor(response), now, before, off, DEPTH_FACTORS[i], unseen, GAIN_RIDGES[number],
-                  renders.determined(i, GAIN_RIDGES[number]))  # fmt: skip
+    before, after = (renders.likeness(held_out, choices) for choices in (start, tried[number]))
+    faces = tuple(renders.faces[k][i] for k, (_, i) in zip(held_out, tried[number], strict=True))
+    sensors = tuple(renders.sensor(response) for response, _ in tried[number])
+    presses = tuple(photos.presses[k] for k in held_out)
+    return GAIN_RIDGES[number], HeldOutPresses(presses, faces, sensors, counts[[0, number + 1]], (before, after))
 
 
+@dataclass
 class Renders:
     """All presses rendered at each of DEPTH_FACTORS times their depths."""
 
-    def __init__(self, sensor: LitSensor, made: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> None:
-        """`made`: the sensor with fitted radiances."""
-        self.made, self.camera = made.model_copy(update={"thickness_response": None}), sensor.camera
-        self.linear = camera_response.linear(photos.untouched / 255.0, sensor.camera).reshape(-1, 3)
-        file = sensor.thickness_response
-        self.file = (
-            np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3))
-            if file is None
-            else scattering.gain(file, np.array(GAIN_THICKNESS_CHANGES_MM))
-        )
+    made: LitSensor  # with fitted radiances, without a response to thickness
+    linear: Array  # untouched photograph (pixels, 3)
+    file: Array  # gain of the sensor file (changes, 3)
+    spread: float  # of that gain [mm]
+    faces: Sequence[Sequence[Surface]]  # by press, then by factor
+    seen: Sequence[Sequence[RenderedPress]]
+    _kept: dict[tuple[int, int, float], Sums] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, made: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> "Renders":
+        """Solve and render the presses. `made`: the sensor with fitted radiances, and the response of its file."""
+        file, known = made.thickness_response, np.array(GAIN_THICKNESS_CHANGES_MM)
+        gain = np.ones((len(known), 3)) if file is None else scattering.gain(file, known)
+        made = made.model_copy(update={"thickness_response": None})
+        linear = camera_response.linear(photos.untouched / 255.0, made.camera).reshape(-1, 3)
         depths = [[factor * (press.depth or 0.0) for factor in DEPTH_FACTORS] for press in photos.presses]
-        self.faces = [press_faces.solved(self.made, *one, folders) for one in zip(photos.presses, depths, strict=True)]
-        renderer = images.Renderer(self.made, FIT_SPP, 0, False)
-        pairs = zip(photos.presses, self.faces, strict=True)
-        self.seen = [_seen(self.made, renderer, photos, *pair) for pair in pairs]  # by press, then by factor
-        self.spread = 0.0 if file is None else file.spread_mm
-        self._kept: dict[tuple[int, int, float], Sums] = {}
+        each = zip(photos.presses, depths, strict=True)
+        faces = [solved_presses.solved(made, press, tried, folders) for press, tried in each]
+        renderer, pairs = images.Renderer(made, FIT_SPP, 0, False), zip(photos.presses, faces, strict=True)
+        seen = [_seen(made, renderer, photos, *pair) for pair in pairs]
+        return cls(made, linear, gain, 0.0 if file is None else file.spread_mm, faces, seen)
 
     def sensor(self, response: ThicknessResponse | None) -> LitSensor:
         """The sensor with fitted radiances and a response to thickness."""
@@ -188,13 +193,13 @@ class Renders:
 
     def off(self, press: int, response: ThicknessResponse | None, factor: int) -> float:
         """Misfit [counts] of a press."""
-        wanted, made = self.seen[press][factor].changes(response, self.linear, self.camera)
+        wanted, made = self.seen[press][factor].changes(response, self.linear, self.made.camera)
         return rms([made - wanted])
 
     def likeness(self, presses: list[int], fits: list[Choice]) -> ChangeLikeness:
         """Likeness of presses, each with a response and the number of a factor."""
         pairs = zip(presses, fits, strict=True)
-        shown = [self.seen[k][i].changes(response, self.linear, self.camera) for k, (response, i) in pairs]
+        shown = [self.seen[k][i].changes(response, self.linear, self.made.camera) for k, (response, i) in pairs]
         return ChangeLikeness.of(*(np.concatenate(part) for part in zip(*shown, strict=True)))
 
     def determined(self, factor: int, ridge: float) -> dict[str, float]:
@@ -228,9 +233,8 @@ def gains(sums: Sums, file: Array, ridge: float) -> Array:
 
 def _hats(change: Array) -> Array:
     """Linear interpolation weights (n, changes) of changes of thickness (n,) [mm] at GAIN_THICKNESS_CHANGES_MM."""
-    return np.array(
-        [np.interp(change, GAIN_THICKNESS_CHANGES_MM, row) for row in np.eye(len(GAIN_THICKNESS_CHANGES_MM))]
-    ).T
+    rows = np.eye(len(GAIN_THICKNESS_CHANGES_MM))
+    return np.array([np.interp(change, GAIN_THICKNESS_CHANGES_MM, row) for row in rows]).T
 
 
 def _seen(
@@ -249,9 +253,8 @@ def _seen(
         change = seen.position[:, 2] - renderer.untouched.at(seen.position[:, :2])[:, 2]
         own = (renderer.image(face).astype(float) / np.maximum(flat, 1e-12)).reshape(-1, 3)
         away = np.hypot(*(camera.project(seen.position) - press.center).T) * camera.mm_per_px
-        return RenderedPress(
-            change.reshape(view.shape), sensor.camera.mm_per_px, own, after / before, away < PRESS_REACH_MM
-        )
+        change, near = change.reshape(view.shape), away < PRESS_REACH_MM
+        return RenderedPress(change, sensor.camera.mm_per_px, own, after / before, near)
 
     return [at(face) for face in faces]
 

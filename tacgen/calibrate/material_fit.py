@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 from scipy.special import exprel
 from scipy.stats import t as student
 
-from tacgen.calibrate.plausible import off
-from tacgen.calibrate.press_forces import FIRST_TOUCH_RANGE, Curves, Measured
+from tacgen.calibrate.force_curves import FIRST_TOUCH_RANGE, Curves, Measured
+from tacgen.calibrate.sensor_fit import off
 from tacgen.sensor.yaml_source import KeyPath, format_path
 
 Array = np.ndarray
@@ -51,6 +51,11 @@ class Estimate:
         reach = "at the end of its range" if self.bound else f"95 %: {self.low:.4g} to {self.high:.4g}"
         return f"{name}: {self.value:.4g}{unit} ({reach})"
 
+    @property
+    def times(self) -> str:
+        """A factor with its interval as text."""
+        return f"times {self.value:.4g} ({self.low:.3g} to {self.high:.3g} with {100 * CONFIDENCE_LEVEL:.0f} %)"
+
     def told_of(self, changes: Mapping[KeyPath, Any]) -> Iterator[str]:
         """Each changed modulus with its interval, as `told`: this estimate is the factor that it contains."""
         for path, value in changes.items():
@@ -77,7 +82,7 @@ class MaterialFit:
 
     @property
     def off(self) -> Array:
-        """Relative error of the fitted forces (n,), as of `plausible.off`."""
+        """Relative error of the fitted forces (n,), as of `sensor_fit.off`."""
         return off(self.force, self.measured.force)
 
     @property
@@ -97,6 +102,17 @@ class Unknown:
     shown: Callable[[float], float] = float
 
 
+def modulus_unknown(start: float) -> Unknown:
+    """The factor on the moduli, fitted as its logarithm, from a start value that is limited to the range."""
+    inside, end = np.clip(start, 2 / MAX_MODULUS_FACTOR, MAX_MODULUS_FACTOR / 2), float(np.log(MAX_MODULUS_FACTOR))
+    return Unknown("modulus", float(np.log(inside)), -end, end, np.exp)
+
+
+def modulus_in_range(factor: float) -> bool:
+    """Whether a factor on the moduli is not near an end of its range."""
+    return 2 / MAX_MODULUS_FACTOR < factor < MAX_MODULUS_FACTOR / 2
+
+
 def fit(
     curves: Curves, measured: Measured, *, zero: bool = True, value: float | None = None, terms: int = 0
 ) -> MaterialFit:
@@ -110,7 +126,7 @@ def fit(
     Raises ValueError: fewer rows than numbers to find, and one more.
     """
     margin = FIRST_TOUCH_RANGE * float(measured.depth.max())
-    unknowns = [Unknown("modulus", 0.0, -np.log(MAX_MODULUS_FACTOR), np.log(MAX_MODULUS_FACTOR), np.exp)]
+    unknowns = [modulus_unknown(1.0)]
     if zero:
         unknowns.append(Unknown("zero", 0.0, -margin, margin))
     if curves.values is not None and value is None:
@@ -135,9 +151,7 @@ def fit(
 
     model = force(np.array([unknown.start for unknown in unknowns]))
     best = float(model @ measured.force) / max(float(model @ model), 1e-300)  # modulus with all others fixed
-    unknowns[0] = replace(
-        unknowns[0], start=float(np.log(np.clip(best, 2 / MAX_MODULUS_FACTOR, MAX_MODULUS_FACTOR / 2)))
-    )
+    unknowns[0] = modulus_unknown(best)
     estimates, correlation, at = estimated(force, measured.force, unknowns)
     return MaterialFit(estimates, correlation, force(at), measured)
 

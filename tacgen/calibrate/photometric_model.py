@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tacgen.base.errors import UserError
+from tacgen.calibrate.cross_validation import rgb
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.unseen import rgb
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import heights
@@ -75,7 +75,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Looked:
+class ViewedFace:
     """Where the camera's rays meet the face of a picture."""
 
     view: CameraView
@@ -87,14 +87,13 @@ class Looked:
 
 def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
     """The points that stand for a single LED."""
-    (wide, tall), least = one[0].size_mm, (6, 2)
-    along, across = (max(n, int(np.ceil(size / by)))
-                     for n, size, by in zip(least, (wide, tall), (MAX_LED_POINT_SPACING_ALONG_MM,
-                     MAX_LED_POINT_SPACING_ACROSS_MM), strict=True))  # fmt: skip
+    wide, tall = one[0].size_mm
+    along = max(6, int(np.ceil(wide / MAX_LED_POINT_SPACING_ALONG_MM)))
+    across = max(2, int(np.ceil(tall / MAX_LED_POINT_SPACING_ACROSS_MM)))
     return strip_light.points(one, along, across)
 
 
-class Trials:
+class PhotometricModel:
     """Misfit between photographs and trial sensors."""
 
     def __init__(
@@ -112,9 +111,8 @@ class Trials:
         self._look = lru_cache(CACHED_LIGHTS * (1 + len(faces)))(self._looked)
         self._around = lru_cache(CACHED_LIGHTS * len(sensor.leds))(self._bounced)
         self._column = lru_cache(CACHED_LIGHTS * len(sensor.leds) * (1 + len(faces)))(self._lit)
-        self._sparse = max(
-            1, round(np.sqrt(self.sensor.camera.width_px * self.sensor.camera.height_px / UNTOUCHED_PIXELS))
-        )
+        eye = self.sensor.camera
+        self._sparse = max(1, round(np.sqrt(eye.width_px * eye.height_px / UNTOUCHED_PIXELS)))
         self._even, self._first_weight = self._grid(), untouched * self._sparse
         near = [self._near(press) for press in photos.presses]
         needed = np.any([self._even, *near], axis=0)
@@ -124,7 +122,7 @@ class Trials:
         if not limits.bare and sensor.markers is not None:
             for number, picture in enumerate(self.pictures):
                 points = self._look(number, (0.0, 0.0)).at.rest
-                dots = coating.paint(sensor.markers, points, 3 * self.sensor.camera.mm_per_px)
+                dots = coating.paint(sensor.markers, points, 3 * eye.mm_per_px)
                 np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
         empty = [picture.name for picture in self.pictures if not picture.counts.any()]
         if empty:
@@ -132,7 +130,7 @@ class Trials:
             raise UserError(f"{photos.folder}: {name}: {why}" for name in empty)
         self._least, self._most, self._start = self._ranges()
         leds = self.sensor.leds
-        self.own = np.column_stack([np.array([led.light for led in leds]).T, self.sensor.camera.ambient])
+        self.own = np.column_stack([np.array([led.light for led in leds]).T, eye.ambient])
         strongest = self.own[:, :-1].max(axis=0)
         lit = np.where(strongest > 0, strongest, strongest.max() or 1.0)
         self._power = np.tile(np.append(RADIANCE_PRIOR * lit, STRAY_LIGHT_PRIOR), (3, 1))
@@ -142,9 +140,8 @@ class Trials:
         light = camera_response.linear(picture / 255.0, eye)
         light = photograph.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
         counts = counts & (light < MAX_COMPARED_LIGHT).all(axis=1)
-        return Picture(
-            name, light, np.minimum(255 * camera_response.slope(light, eye), MAX_RESPONSE_SLOPE), counts, face
-        )
+        slope = np.minimum(255 * camera_response.slope(light, eye), MAX_RESPONSE_SLOPE)
+        return Picture(name, light, slope, counts, face)
 
     def _grid(self) -> Array:
         """The pixels of the untouched picture that are compared, on an even grid (pixels,) bool; each stands for the
@@ -159,21 +156,16 @@ class Trials:
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
         away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1] * press.aspect)
         contact = press.contact or 0.0
-        reach = (
-            max(DEPTH_PRESS_REACH_MM / eye.mm_per_px * shrink, MIN_DEPTH_PRESS_REACH * contact)
-            if press.solved
-            else CONTACT_SHARE_COMPARED * contact
-        )
+        reach = CONTACT_SHARE_COMPARED * contact
+        if press.solved:
+            reach = max(DEPTH_PRESS_REACH_MM / eye.mm_per_px * shrink, MIN_DEPTH_PRESS_REACH * contact)
         return np.asarray((away < reach).ravel())
 
     def _ranges(self) -> tuple[Array, Array, Array]:
         """Bounds and start of every parameter: those of the LEDs, then specular weight, roughness, vignette, crop."""
         mm, coat, eye = self.limits.mm, self.sensor.coating, self.sensor.camera
-        if mm > 0:
-            rad, longer, gloss, factor = np.radians(self.limits.deg), np.log(FACTOR), SPECULAR, FACTOR
-        else:
-            rad, longer, gloss, factor = 0.0, 0.0, 0.0, 1.0
-        led = [*[(-mm, mm, 0.0)] * 3, *[(-rad, rad, 0.0)] * 2, (-longer, longer, 0.0)]
+        rad, gloss, factor = (np.radians(self.limits.deg), SPECULAR, FACTOR) if mm > 0 else (0.0, 0.0, 1.0)
+        led = [*[(-mm, mm, 0.0)] * 3, *[(-rad, rad, 0.0)] * 2, (-np.log(factor), np.log(factor), 0.0)]
         rest = [
             (max(0.0, coat.specular - gloss), min(1.0, coat.specular + gloss), coat.specular),
             (coat.roughness / factor, min(1.0, coat.roughness * factor), coat.roughness),
@@ -199,14 +191,14 @@ class Trials:
                 return tried
         return led
 
-    def _looked(self, picture: int, crop: tuple[float, ...]) -> "Looked":
+    def _looked(self, picture: int, crop: tuple[float, ...]) -> "ViewedFace":
         eye = self.sensor.camera
         moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
         sensor = self.sensor.model_copy(update={"camera": moved})
         view = CameraView(sensor, self.sheet, False)
         at = view.look(self.pictures[picture].face)
         terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
-        return Looked(view, at, view.toward_camera(), view.transmission(), terrain)
+        return ViewedFace(view, at, view.toward_camera(), view.transmission(), terrain)
 
     def _lit(self, picture: int, led: int, parts: tuple[float, ...], rough: float, crop: tuple[float, ...]) -> Array:
         """Direct light of one LED of unit radiance on a diffuse white coating and on a specular one, and its
@@ -268,19 +260,14 @@ class Trials:
 
     def weighed(self, rows: list[Array], chosen: list[int]) -> Array:
         """Equations of the chosen pictures, one under the other, as the fit weighs them."""
-        return np.concatenate(
-            [(PRESS_PIXEL_WEIGHT if k else self._first_weight) * row for k, row in zip(chosen, rows, strict=True)]
-        )
+        weights = [PRESS_PIXEL_WEIGHT if k else self._first_weight for k in chosen]
+        return np.concatenate([weight * row for weight, row in zip(weights, rows, strict=True)])
 
     def lights(self, rows: list[Array], chosen: list[int], ridge: float) -> Array:
         """Best radiances (3, LEDs + 1), stray light last, held to the file's."""
         hold = np.column_stack([np.diag(ridge / self._power.ravel()), (ridge * self.own / self._power).ravel()])
         stacked = np.concatenate([self.weighed(rows, chosen), hold])
         return np.asarray(nnls(stacked[:, :-1], stacked[:, -1])[0].reshape(3, -1))
-
-    def misfits(self, rows: list[Array], lights: Array) -> list[Array]:
-        """Misfits [counts] of pictures, (3 pixels,) each."""
-        return [row @ np.append(lights, -1.0) for row in rows]
 
     def _names(self) -> list[str]:
         """Names of the parameters, and of the radiances and stray light of each channel."""

@@ -9,7 +9,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from tacgen import mechanics
 from tacgen.base import csv_table
 from tacgen.base.errors import UserError
-from tacgen.calibrate import press_faces
+from tacgen.calibrate import solved_presses
+from tacgen.calibrate.dent_tables import HERTZ_FORCE_POWER
 from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment
 
@@ -18,7 +19,6 @@ MIN_FORCE_ROWS = 3  # rows of a table at least
 CURVE_DEPTHS = 12  # depths at which a curve is solved
 FIRST_TOUCH_RANGE = 0.1  # of the largest depth: range of the unknown depth of first touch
 MAX_TABLE_NUMBER = 1e6  # of any number: no press has 1 MN, or lasts for 11 days
-HERTZ_FORCE_POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def solved(row: Row, depths: Array) -> Array:
     recipe = row.recipe.model_copy(update={"trajectory": presses, "dynamics": None})
     forces: list[float] = []
     try:
-        _, states = press_faces.solved_states(replace(row, recipe=recipe))
+        _, states = solved_presses.solved_states(replace(row, recipe=recipe))
         forces.extend(mechanics.normal_force(state) for state in states)
     except mechanics.NotConverged as error:
         raise UserError(f"{row.recipe.name}: at a depth of {depths[len(forces)]:.3g} mm: {error}") from None
@@ -91,8 +91,5 @@ class Curves:
     def force(self, depth: Array, value: float = 0.0) -> Array:
         """Force (n,) [N] at depths (n,) [mm]; 0 above the gel."""
         rooted = self._over(np.clip(depth, 0, self.deepest))
-        if self.values is not None:
-            rooted = PchipInterpolator(self.values, rooted)(value)
-        else:
-            (rooted,) = rooted
+        rooted = rooted[0] if self.values is None else PchipInterpolator(self.values, rooted)(value)
         return np.asarray(np.maximum(rooted, 0) ** (1 / HERTZ_FORCE_POWER))

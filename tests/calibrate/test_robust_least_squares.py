@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from tacgen.calibrate import robust_search
-from tacgen.calibrate.robust_search import Ridge, Tables
+from tacgen.calibrate import robust_least_squares
+from tacgen.calibrate.robust_least_squares import LinearModel, Ridge
 
 U, LIGHTS, SOFT = np.array([0.4, -0.3]), np.array([2.0, 0.7, 0.0]), 15.0
 
 
-def tables(u: np.ndarray = U, marks: float = 0.0) -> Tables:
+def tables(u: np.ndarray = U, marks: float = 0.0) -> LinearModel:
     """Equations with noise of one count whose solution is u and LIGHTS; a tenth of the pixels is off by `marks`."""
     random = np.random.default_rng(0)
     rows, slopes = random.normal(0, 40, (600, 4)), random.normal(0, 20, (2, 600, 4))
@@ -17,12 +17,12 @@ def tables(u: np.ndarray = U, marks: float = 0.0) -> Tables:
     made = rows[:, :-1] + np.tensordot(u, slopes[..., :-1], 1)
     rows[:, -1] = made @ LIGHTS + random.normal(0, 1, 600)
     rows[::10, -1] += marks
-    return Tables(np.zeros(2), rows, slopes)
+    return LinearModel(np.zeros(2), rows, slopes)
 
 
-def found(near: Tables, weight: float = 1e-3, most: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def found(near: LinearModel, weight: float = 1e-3, most: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     ridge = Ridge(weight, np.ones(3), np.ones(3))
-    return robust_search.search(near, np.ones(3), (np.full(2, -most), np.full(2, most)), ridge, SOFT)
+    return robust_least_squares.minimise(near, np.ones(3), (np.full(2, -most), np.full(2, most)), ridge, SOFT)
 
 
 def test_parameters_and_radiances_are_found_together() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
-from tacgen.calibrate import likeness, normal_net
+from tacgen.calibrate import normal_net, render_comparison
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
@@ -25,7 +25,7 @@ def one_network():
 
 @pytest.fixture(scope="module")
 def compared():
-    return likeness.Comparison(sensor(camera=FINE, markers=None))
+    return render_comparison.Comparison(sensor(camera=FINE, markers=None))
 
 
 @pytest.fixture(scope="module")
@@ -90,11 +90,11 @@ def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
     few, others = list(compared.dents(0.75, 5)), list(compared.dents(0.75, 16, seed=1))
 
     def off() -> list[float]:
-        net = likeness.learned(few)
+        net = render_comparison.learned(few)
         return [float(np.mean([one.off(net.normals(one.features)) for one in part])) for part in (few, others)]
 
     held = off()
-    monkeypatch.setattr(normal_net, "WEIGHT_DECAY", normal_net.WEIGHT_DECAY * 5 / likeness.TRAINING_DENTS)
+    monkeypatch.setattr(normal_net, "WEIGHT_DECAY", normal_net.WEIGHT_DECAY * 5 / render_comparison.TRAINING_DENTS)
     loose = off()
     assert loose[0] < held[0] / 2
     assert loose[1] > 1.2 * held[1]
@@ -121,7 +121,7 @@ def test_noise_in_training_makes_the_network_smooth(monkeypatch):
 def test_several_networks_that_differ_are_averaged(compared, monkeypatch):
     monkeypatch.setattr(normal_net, "ENSEMBLE_SIZE", 2)
     dents = list(compared.dents(0.75, 20))
-    net, features = likeness.learned(dents), dents[0].features
+    net, features = render_comparison.learned(dents), dents[0].features
     one, other = (normal_net.NormalNet((member,)).normals(features) for member in net.members)
     assert net.normals(features) == pytest.approx((one + other) / 2, abs=1e-6)
     assert np.abs(one - other).max() > 1e-3

@@ -6,41 +6,34 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.tiny import sensor
+from helpers.photographed import FINE, PRESSES, calibrate, photographed, refused, save, written
+from helpers.tiny import PLAIN, sensor
 from PIL import Image
-from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import fit_lights, optics, photos, press_faces, unseen
-from tacgen.calibrate.light_equations import FitLimits
-from tacgen.calibrate.likeness import Likeness
-from tacgen.cli import main as cli
+from tacgen.calibrate import cross_validation, optics, photometric_fit, photos, solved_presses
+from tacgen.calibrate.photometric_model import FitLimits
+from tacgen.calibrate.render_comparison import Likeness
 from tacgen.mechanics import NotConverged
 from tacgen.recipe import loading
 
-from .test_calibrate import FINE, PLAIN, PRESSES, photographed, written
-
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch: pytest.MonkeyPatch, few_dents: None) -> None:
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
-    monkeypatch.setattr("tacgen.calibrate.likeness.TRAINING_DENTS", 4)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.TRAINING_SAMPLES", 500)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.ENSEMBLE_SIZE", 1)
 
 
-def calibrate(folder: Path, unit: Any, *options: str) -> Any:
+def radiances(folder: Path, unit: Any, *options: object) -> Any:
     """Run the command with radiances alone, from the plain sensor, on photographs of a unit."""
     path = written(sensor(camera=FINE, markers=None), folder / "file.yaml")
     images = photographed(unit, folder / "unit", PRESSES[:2])
-    asked = ["calibrate", "optics", "--sensor", str(path), "--images", str(images), "--tolerance-mm", "0", *options]
-    return CliRunner().invoke(cli.app, asked)
+    return calibrate("optics", "--sensor", path, "--images", images, "--tolerance-mm", 0, *options)
 
 
 def test_each_of_few_presses_is_left_out_once_and_a_third_of_more() -> None:
-    assert unseen.folds(0) == unseen.folds(1) == []
-    assert unseen.folds(5) == [[1], [2], [3], [4], [5]]
-    assert unseen.folds(7) == [[3, 6]]
+    assert cross_validation.folds(0) == cross_validation.folds(1) == []
+    assert cross_validation.folds(5) == [[1], [2], [3], [4], [5]]
+    assert cross_validation.folds(7) == [[3, 6]]
 
 
 @pytest.mark.parametrize(
@@ -49,7 +42,7 @@ def test_each_of_few_presses_is_left_out_once_and_a_third_of_more() -> None:
      ([5, 5, 5], [1, 6, 7.5], False)],  # the mean gain lies within its standard error
 )  # fmt: skip
 def test_a_gain_counts_beyond_its_standard_error(before: list[float], after: list[float], better: bool) -> None:
-    assert unseen.Unseen((), (), (), np.array([before, after]), None).better == better
+    assert cross_validation.HeldOutPresses((), (), (), np.array([before, after]), None).better == better
 
 
 @pytest.mark.parametrize(
@@ -61,7 +54,7 @@ def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(cou
     before, after = (
         Likeness(none, none, none, np.mean(each), 0.0, 0.0, np.array(each)) for each in ([5, 5, 6], [4, 3, 3])
     )
-    one = unseen.Unseen((), (), (), np.array([[5, 5, 5], counts]), (before, after))
+    one = cross_validation.HeldOutPresses((), (), (), np.array([[5, 5, 5], counts]), (before, after))
     assert one.better == better
     assert not replace(one, likeness=(after, before)).better
 
@@ -69,18 +62,18 @@ def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(cou
 @pytest.mark.slow
 def test_the_written_fit_is_made_as_those_that_judge_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A judging fit from which no press is left out is the written one."""
-    monkeypatch.setattr(fit_lights, "TOLERANCE_RIDGES", (30.0, 3.0))
+    monkeypatch.setattr(photometric_fit, "TOLERANCE_RIDGES", (30.0, 3.0))
     moved = [{**led, "center_mm": np.add(led["center_mm"], [0.2, 0.1, 0.2]).tolist()} for led in PLAIN["leds"]]
     file, unit = sensor(camera=FINE, markers=None), sensor(leds=moved, camera=FINE, markers=None)
     read = photos.read(photographed(unit, tmp_path / "unit", PRESSES[:2]), file.camera)
-    faces = [press_faces.face(file, press, {}) for press in read.presses]
-    trial = fit_lights.Fits(file, read, faces, FitLimits(0.5, 5.7, bare=True))
+    faces = [solved_presses.face(file, press, {}) for press in read.presses]
+    trial = photometric_fit.PhotometricFits(file, read, faces, FitLimits(0.5, 5.7, bare=True))
     _, (_, (judging,)) = trial.judged([[]])
     assert trial.whole(3.0).sensor == judging
 
 
 def test_worse_scores_are_told_before_and_after() -> None:
-    one = unseen.Unseen((), (), (), np.array([[4.0, 5.0], [6.0, 6.0]]), None)
+    one = cross_validation.HeldOutPresses((), (), (), np.array([[4.0, 5.0], [6.0, 6.0]]), None)
     assert str(one) == "4.5 before and 6.0 after the fit [counts rms]"
 
 
@@ -88,13 +81,11 @@ def test_worse_scores_are_told_before_and_after() -> None:
 def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) -> None:
     """Photographs of the file's own sensor: no fit can be better."""
     out, exact = tmp_path / "mine.yaml", sensor(camera=FINE, markers=None)
-    done = calibrate(tmp_path, exact, "-o", str(out))
-    assert done.exit_code == 2, done.output
-    (line,) = done.stderr.splitlines()
-    assert line.startswith(f"{out}: not written: the fit is not better on presses that it has not seen: ")
-    assert " before and " in line
+    done = radiances(tmp_path, exact, "-o", out)
+    refused(done, f"{out}: not written: the fit is not better on presses that it has not seen: ")
+    assert " before and " in done.stderr
     assert not out.exists()
-    done = calibrate(tmp_path, exact, "-o", str(out), "--anyway")
+    done = radiances(tmp_path, exact, "-o", out, "--anyway")
     assert (done.exit_code, out.is_file()) == (0, True)
 
 
@@ -102,7 +93,7 @@ def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) ->
 def test_a_fit_that_helps_is_written_with_its_scores_and_drawn(tmp_path: Path) -> None:
     out, figure = tmp_path / "mine.yaml", tmp_path / "unseen.png"
     unit = sensor(leds=[{**led, "power": 1.5} for led in PLAIN["leds"]], camera=FINE, markers=None)
-    done = calibrate(tmp_path, unit, "-o", str(out), "--figure", str(figure))
+    done = radiances(tmp_path, unit, "-o", out, "--figure", figure)
     assert done.exit_code == 0, done.output
     mine, _ = loading.read_sensor(out)
     assert "; on unseen presses " in mine.leds[0].source
@@ -116,21 +107,17 @@ def test_a_fit_that_helps_is_written_with_its_scores_and_drawn(tmp_path: Path) -
 def test_without_presses_nothing_is_judged(tmp_path: Path) -> None:
     unit, out = sensor(camera=FINE, markers=None), tmp_path / "mine.yaml"
     path, folder = written(unit, tmp_path / "file.yaml"), photographed(unit, tmp_path / "unit", ())
-    asked = ["calibrate", "optics", "--sensor", str(path), "--images", str(folder)]
-    done = CliRunner().invoke(cli.app, [*asked, "-o", str(out)])
-    assert done.exit_code == 2
-    assert (
-        done.stderr == f"{out}: not written: the fit is not judged: it takes two presses at least; --anyway writes it\n"
+    asked = "optics", "--sensor", path, "--images", folder
+    refused(
+        calibrate(*asked, "-o", out), f"{out}: not written: the fit is not judged: it takes two presses at least; --any"
     )
-    done = CliRunner().invoke(cli.app, [*asked, "--figure", str(tmp_path / "f.png")])
-    assert done.exit_code == 2
-    assert "the fit is not judged" in done.stderr
+    refused(calibrate(*asked, "--figure", tmp_path / "f.png"), "the fit is not judged")
 
 
 def test_what_data_determine_against_a_ridge() -> None:
     slopes = np.zeros((4, 3))
     slopes[0, 0], slopes[1, 1] = 30.0, 3.0  # strongly, as strongly as the ridge, not at all
-    assert unseen.determined(slopes, 3.0) == pytest.approx([900 / 909, 0.5, 0.0])
+    assert cross_validation.determined(slopes, 3.0) == pytest.approx([900 / 909, 0.5, 0.0])
 
 
 def test_a_press_of_known_force_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,9 +129,9 @@ def test_a_press_of_known_force_is_solved(tmp_path: Path, monkeypatch: pytest.Mo
         asked["press"] = row.recipe.trajectory[0].press
         raise NotConverged("so it is solved")
 
-    monkeypatch.setattr(press_faces, "faces", faces)
+    monkeypatch.setattr(solved_presses, "faces", faces)
     with pytest.raises(UserError, match=r"p\.png: cannot be solved"):
-        press_faces.face(unit, press, {})
+        solved_presses.face(unit, press, {})
     assert (asked["press"].force_n, asked["press"].depth_mm) == (0.3, None)
 
 
@@ -152,9 +139,9 @@ def test_a_press_of_known_force_is_solved(tmp_path: Path, monkeypatch: pytest.Mo
 def test_a_force_and_the_depth_that_has_it_give_the_same_face() -> None:
     unit = sensor(camera=FINE, markers=None)
     deep = photos.PhotographedPress("p.png", np.zeros((64, 80, 3), np.uint8), 3.0, (40.0, 32.0), None, None, 0.3)
-    at = np.array([press_faces.place(unit, deep.center, 0.0)])
-    low = press_faces.face(unit, deep, {}).at(at)[0, 2]
-    (again,) = press_faces.solved(unit, deep, [-float(low)], {})
+    at = np.array([solved_presses.place(unit, deep.center, 0.0)])
+    low = solved_presses.face(unit, deep, {}).at(at)[0, 2]
+    (again,) = solved_presses.solved(unit, deep, [-float(low)], {})
     assert again.at(at)[0, 2] == pytest.approx(low, abs=0.02)
 
 
@@ -162,7 +149,7 @@ def test_a_force_beside_the_gel_is_refused() -> None:
     unit = sensor(camera=FINE, markers=None)
     press = photos.PhotographedPress("p.png", np.zeros(0), 3.0, (-500.0, 32.0), None, None, 0.3)
     with pytest.raises(UserError, match=r"p\.png: force_n: lies beside the gel"):
-        press_faces.check(unit, photos.Photos(Path("unit"), np.zeros(0), (press,)))
+        solved_presses.check(unit, photos.Photos(Path("unit"), np.zeros(0), (press,)))
 
 
 def test_the_report_is_json(tmp_path: Path) -> None:
@@ -181,13 +168,13 @@ def test_glare_in_the_untouched_picture_does_not_spoil_lights_fitted_to_changes(
     glare = np.linspace(80, 0, FINE["width_px"])[None, :, None]  # [counts]
     for picture in folder.glob("*.png"):
         seen = np.asarray(Image.open(picture)) + glare
-        Image.fromarray(np.clip(seen, 0, 255).astype(np.uint8)).save(picture)
+        save(seen, picture)
     read = photos.read(folder, file.camera)
-    faces = [press_faces.face(file, press, {}) for press in read.presses]
+    faces = [solved_presses.face(file, press, {}) for press in read.presses]
     read = replace(read, presses=tuple(replace(press, contact=None, depth=0.5) for press in read.presses))
 
     def off(changes: bool) -> float:
-        made = fit_lights.fit_faces(file, read, faces, FitLimits(0, 0), changes=changes)
+        made = photometric_fit.fit_faces(file, read, faces, FitLimits(0, 0), changes=changes)
         return float(np.abs([sum(led.light) / 6.3 - 1 for led in made.sensor.leds]).max())
 
     assert off(True) < 0.1 < off(False)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from helpers.tiny import cloudy
 
-from tacgen.calibrate import fit_scattering
-from tacgen.calibrate.fit_scattering import GAIN_THICKNESS_CHANGES_MM, RenderedPress, Renders
+from tacgen.calibrate import scattering_fit
+from tacgen.calibrate.scattering_fit import GAIN_THICKNESS_CHANGES_MM, RenderedPress, Renders
 from tacgen.optics import scattering
 from tacgen.sensor.model import ThicknessResponse
 
@@ -27,17 +27,11 @@ def press(spread: float) -> tuple[RenderedPress, ThicknessResponse]:
 
 @pytest.mark.parametrize("spread", [0.0, 0.2])
 def test_gain_and_spread_are_found(spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit_scattering, "DEPTH_FACTORS", (1.0,))
-    monkeypatch.setattr(fit_scattering, "GAIN_SPREADS_MM", (0.0, 0.1, 0.2, 0.3))
+    monkeypatch.setattr(scattering_fit, "DEPTH_FACTORS", (1.0,))
+    monkeypatch.setattr(scattering_fit, "GAIN_SPREADS_MM", (0.0, 0.1, 0.2, 0.3))
     seen, truth = press(spread)
-    renders = object.__new__(Renders)
-    renders.camera, renders.linear = cloudy().camera, np.full((seen.change.size, 3), 0.4)
-    renders.file, renders.seen, renders.spread, renders._kept = (
-        np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3)),
-        [[seen]],
-        0.0,
-        {},
-    )
+    linear, file = np.full((seen.change.size, 3), 0.4), np.ones((len(GAIN_THICKNESS_CHANGES_MM), 3))
+    renders = Renders(cloudy(), linear, file, 0.0, [], [[seen]])
     off, found, _ = renders.best([0], 1e-6)
     assert off < 0.2
     assert found.spread_mm == spread

@@ -9,20 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.small_recipe import HEAD
+from helpers.photographed import calibrate, refused, save, table, written
 from helpers.tiny import sensor
-from PIL import Image
-from typer.testing import CliRunner
 
 import tacgen
 from tacgen.base.errors import UserError
-from tacgen.calibrate import ball_dents, material, optics, plausible, press_colours, press_forces, unit
-from tacgen.calibrate.plausible import Evidence, SensorFit
-from tacgen.cli import main as cli
+from tacgen.calibrate import dent_tables, force_curves, material, optics, press_localisation, sensor_fit, unit
+from tacgen.calibrate.sensor_fit import Evidence, SensorFit
 from tacgen.cli.calibrate import calibrations
 from tacgen.recipe import loading
 
-from .test_calibrate import written
+from .test_material import fitted
 from .test_unit import FINE, formula
 
 YOUNG = ("gel", "layers", 0, "youngs_modulus_mpa")
@@ -58,19 +55,15 @@ def test_every_command_refuses_to_write_a_modulus_that_no_gel_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setattr(FITS[command], command, lambda *_: fit(tmp_path, 0.0045))
-    out, inputs = (
-        tmp_path / "mine.yaml",
-        ["--images", "photos"] if command != "material" else ["--recipe=r", "--data=d"],
-    )
-    asked = ["calibrate", command, "--sensor", "s", *inputs, "-o", str(out)]
-    done = CliRunner().invoke(cli.app, asked)
-    assert done.exit_code == 2, done.output
+    out, inputs = tmp_path / "mine.yaml", ["--recipe=r", "--data=d"] if command == "material" else ["--images=p"]
+    asked = command, "--sensor", "s", *inputs, "-o", out
+    done = calibrate(*asked)
+    assert (done.exit_code, out.exists()) == (2, False), done.output
     assert done.stderr == (
         f"{out}: not written: gel.layers[0].youngs_modulus_mpa: a Young's modulus of 0.0045 MPa; that of gels is 0.005"
         " to 5, and moduli are in MPa; --anyway writes it\n"
     )
-    assert not out.exists()
-    done = CliRunner().invoke(cli.app, [*asked, "--anyway"])
+    done = calibrate(*asked, "--anyway")
     assert done.exit_code == 0, done.output
     assert "not plausible: gel.layers[0].youngs_modulus_mpa: " in done.stdout
     assert loading.read_sensor(out)[0].gel.layers[0].youngs_modulus_mpa == 0.0045
@@ -81,7 +74,7 @@ def test_sensor_files_are_written_by_that_function_alone() -> None:
     for module in [*package.glob("calibrate/*.py"), *package.glob("cli*.py")]:
         nodes = [node for node in ast.walk(ast.parse(module.read_text())) if isinstance(node, ast.Attribute | ast.Name)]
         names = {node.attr if isinstance(node, ast.Attribute) else node.id for node in nodes}
-        assert module.name in ("plausible.py",) or not names & {"write_sensor", "edited"}, module
+        assert module.name in ("sensor_fit.py",) or not names & {"write_sensor", "edited"}, module
     with pytest.raises(TypeError):  # a fit says what speaks for it
         type("Unjudged", (SensorFit,), {})(Path(), sensor(), {})
 
@@ -120,17 +113,10 @@ def test_a_fitted_file_that_validate_refuses_is_not_plausible(tmp_path: Path) ->
 def test_forces_that_no_press_gives_are_fitted_and_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: list[float]
 ) -> None:
-    monkeypatch.setattr(press_forces, "solved", lambda row, depths: depths**1.5)
-    (tmp_path / "press.yaml").write_text(f"{HEAD}  - press: {{depth_mm: 1, frames: 1}}\n")
+    monkeypatch.setattr(force_curves, "solved", lambda row, depths: depths**1.5)
     mine, rows = tmp_path / "mine.yaml", [f"{d},{f}" for d, f in zip((0.2, 0.4, 0.6, 0.8), force, strict=True)]
-    (tmp_path / "t.csv").write_text("\n".join(["depth_mm,force_n", *rows]))
-    asked = ["--sensor", "gelsight_mini", "--recipe", str(tmp_path / "press.yaml"), "--data", str(tmp_path / "t.csv")]
-    done = CliRunner().invoke(
-        cli.app, ["calibrate", "material", *asked, "--no-zero", "-o", str(tmp_path / "mine.yaml")]
-    )
-    assert done.exit_code == 2, done.output
-    assert "not written: the fitted forces do not follow the measured ones: off by " in done.stderr
-    assert done.stderr.count("\n") == 1
+    done = fitted(tmp_path, "\n".join(["depth_mm,force_n", *rows]), "--no-zero", "-o", mine)
+    refused(done, "not written: the fitted forces do not follow the measured ones: off by ")
     assert not mine.exists()
 
 
@@ -142,20 +128,20 @@ def drifting(folder: Path, shape: str) -> tuple[Path, Path]:
     spot = np.exp(-((x - 0.05) ** 2 + (y + 0.1) ** 2) / 0.18)
     light = {"spot": (1 + 0.4 * x - 0.3 * y) * spot, "all": 1 + 0.5 * x + 0.3 * y**2}
     plain, random = 120 + 30 * x + 0 * np.ones(3), np.random.default_rng(0)
-    Image.fromarray(plain.astype(np.uint8)).save(images / "background.png")
-    rows = ["file,ball_radius_mm,force_n"]
+    save(np.floor(plain), images / "background.png")
+    rows = []
     for k in range(6):
         seen = plain * (1 + 0.02 * (k + 1) * light[shape] * [1.0, -0.4, 0.7]) + random.normal(0, 1, plain.shape)
-        Image.fromarray(seen.round().astype(np.uint8)).save(images / f"{k}.png")
-        rows.append(f"{k}.png,4,{0.01 + 0.02 * k:.4f}")
-    (images / "presses.csv").write_text("\n".join(rows) + "\n")
+        save(seen, images / f"{k}.png")
+        rows.append((f"{k}.png", 4, 0.01 + 0.02 * k))
+    table(images, ("file", "ball_radius_mm", "force_n"), rows)
     return file, images
 
 
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> unit.Asked:
-    monkeypatch.setattr(ball_dents, "solved", partial(formula, deepest=3.6))
-    monkeypatch.setattr(press_colours, "COMPARED_PIXELS", 150)
+    monkeypatch.setattr(dent_tables, "solved", partial(formula, deepest=3.6))
+    monkeypatch.setattr(press_localisation, "COMPARED_PIXELS", 150)
     return unit.Asked(thickness=False, lights=False)
 
 
@@ -180,4 +166,4 @@ def test_where_no_rim_shows_depths_beyond_the_solved_ones_are_not_blamed(tmp_pat
 
 
 def test_relative_errors_of_small_forces_are_of_a_share_of_the_largest() -> None:
-    assert plausible.off(np.array([0.1, 1.1]), np.array([0.0, 1.0])) == pytest.approx([2.0, 0.1])
+    assert sensor_fit.off(np.array([0.1, 1.1]), np.array([0.0, 1.0])) == pytest.approx([2.0, 0.1])

@@ -26,17 +26,13 @@ from tacgen.sensor.yaml_source import KeyPath
 MIN_PRESS_DEPTH_RATIO, MAX_PRESS_DEPTH_RATIO = 0.005, 0.6
 
 
-def place_problem(gel: Gel, at: tuple[float, float]) -> str:
-    """Why nothing can be pressed at (x, y) [mm]; empty if it can."""
-    if abs(at[0]) <= gel.width_mm / 2 and abs(at[1]) <= gel.height_mm / 2:
+def problem(gel: Gel, at: tuple[float, float], depth: float | None = None, deeper: float = 1.0) -> str:
+    """Why a press at (x, y) [mm], to a depth [mm] if it is known and to `deeper` times that, cannot be solved; empty if
+    it can."""
+    if abs(at[0]) > gel.width_mm / 2 or abs(at[1]) > gel.height_mm / 2:
+        return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
+    if depth is None:
         return ""
-    return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
-
-
-def depth_problem(gel: Gel, depth: float, at: tuple[float, float], deeper: float) -> str:
-    """Why a press to a depth [mm] at (x, y) [mm], and to `deeper` times that, cannot be solved; empty if it can."""
-    if said := place_problem(gel, at):
-        return said
     thick = gel.thickness_mm - gel.drop_mm(*at)
     low, high = MIN_PRESS_DEPTH_RATIO * thick, MAX_PRESS_DEPTH_RATIO * thick / deeper
     if low <= depth <= high:
@@ -49,12 +45,9 @@ def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
     that lie beside the gel, a line each."""
     wrong = []
     for press in photos.presses:
-        at = place(sensor, press.center, 0.0)
-        if press.depth is not None:
-            column, said = "depth_mm", depth_problem(sensor.gel, press.depth, at, deeper)
-        else:
-            column, said = "force_n", place_problem(sensor.gel, at) if press.solved else ""
-        if said:
+        column = "force_n" if press.depth is None else "depth_mm"
+        said = problem(sensor.gel, place(sensor, press.center, 0.0), press.depth, deeper)
+        if press.solved and said:
             wrong.append(f"{photos.folder / press.name}: {column}: {said}")
     if wrong:
         raise UserError(wrong)
@@ -114,7 +107,7 @@ def mean_curvature(gel: Gel) -> float:
 
 def solved(
     sensor: LitSensor, press: PhotographedPress, aims: Sequence[float], folders: dict[KeyPath, Path],
-    quality: str = "default", aim: Literal["depth_mm", "force_n"] = "depth_mm",
+    aim: Literal["depth_mm", "force_n"] = "depth_mm",
 ) -> Sequence[Surface]:  # fmt: skip
     """Solved faces at increasing depths [mm] or forces [N], at the position of the ball in the photograph.
 
@@ -123,7 +116,7 @@ def solved(
     depth = float(np.mean(aims)) if aim == "depth_mm" else 0.0  # of the face where the camera sees the ball
     try:
         at = place(sensor, press.center, depth)
-        row = press_row(sensor, press.ball, at, [{aim: float(value)} for value in aims], quality)
+        row = press_row(sensor, press.ball, at, [{aim: float(value)} for value in aims], "default")
         return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
     except (UserError, mechanics.NotConverged) as error:
         raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None

@@ -1,6 +1,6 @@
 """Fit of the lights of a sensor with a clear gel, with the ridge that suits unseen presses best.
 
-The equations (see light_equations) are made with their derivatives by the other parameters, solved, and made anew
+The equations (see photometric_model) are made with their derivatives by the other parameters, solved, and made anew
 there. All fits begin with those at the file's parameters, which are made once.
 """
 
@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.calibrate import contact_circle, press_faces, robust_search
-from tacgen.calibrate.light_equations import FitLimits, Trials
-from tacgen.calibrate.likeness import Comparison, Likeness
+from tacgen.calibrate import contact_circle, robust_least_squares, solved_presses
+from tacgen.calibrate.cross_validation import Fitted, HeldOutPresses, determined, folds, rms
+from tacgen.calibrate.photometric_model import FitLimits, PhotometricModel
 from tacgen.calibrate.photos import Photos
-from tacgen.calibrate.robust_search import Ridge, Tables
-from tacgen.calibrate.unseen import Fitted, Unseen, determined, folds, rms
+from tacgen.calibrate.render_comparison import Comparison, Likeness
+from tacgen.calibrate.robust_least_squares import LinearModel, Ridge
 from tacgen.optics.surface_grid import Surface
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
@@ -33,11 +33,11 @@ UNTOUCHED_WEIGHT = 0.1  # weight of a pixel of the untouched picture where chang
 
 def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits: FitLimits) -> Fitted:
     """Fit the radiance and, with presses, the other parameters, with the ridge that suits unseen presses best."""
-    press_faces.check(sensor, photos)
+    solved_presses.check(sensor, photos)
     if sensor.gel.dome is None:  # on a dome the rim is hidden by the change of shadows
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
-    return fit_faces(sensor, photos, [press_faces.face(sensor, press, folders) for press in photos.presses], limits)
+    return fit_faces(sensor, photos, [solved_presses.face(sensor, press, folders) for press in photos.presses], limits)
 
 
 def fit_faces(
@@ -47,7 +47,7 @@ def fit_faces(
 
     `changes`: how presses change the picture is fitted and judged alone; the untouched picture counts UNTOUCHED_WEIGHT.
     """
-    fits = Fits(sensor, photos, faces, limits, UNTOUCHED_WEIGHT if changes else 1.0)
+    fits = PhotometricFits(sensor, photos, faces, limits, UNTOUCHED_WEIGHT if changes else 1.0)
     if not (groups := folds(len(photos.presses))):
         return fits.whole(TOLERANCE_RIDGES[-1])
     counts, made = fits.judged(groups)
@@ -63,7 +63,7 @@ def fit_faces(
             after.append(Comparison(one).likeness(presses[part], seen[part], photos.untouched))
         alike = Comparison(sensor).likeness(presses, seen, photos.untouched), Likeness.over(after)
     each = tuple(one for group, one in zip(groups, judging, strict=True) for _ in group)
-    unseen = Unseen(tuple(presses), tuple(seen), each, counts[[0, best + 1]], alike)
+    unseen = HeldOutPresses(tuple(presses), tuple(seen), each, counts[[0, best + 1]], alike)
     return replace(fits.whole(TOLERANCE_RIDGES[best]), unseen=unseen)
 
 
@@ -74,7 +74,7 @@ def _at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
     return sensor.model_copy(update={"leds": fitted.leds, "coating": fitted.coating, "camera": eye})
 
 
-class Fits(Trials):
+class PhotometricFits(PhotometricModel):
     """Fits to all photographs, and to all but some that judge them."""
 
     def whole(self, ridge: float) -> Fitted:
@@ -124,15 +124,13 @@ class Fits(Trials):
 
         def cost(v: Array, lights: Array) -> float:
             off = self.weighed(self.rows(v, seen), seen) @ np.append(lights, -1.0)
-            return robust_search.loss(off, SOFT_L1_COUNTS) + robust_search.held(
-                (v - self._start)[free] / half, lights, hold
-            )
+            return robust_least_squares.loss(off, (v - self._start)[free] / half, lights, hold, SOFT_L1_COUNTS)
 
         now = cost(v, lights.ravel())
         for _ in range(self.limits.steps):
             near = self._tables(v, seen)
-            u, found = robust_search.search(near, lights.ravel(), bounds, hold, SOFT_L1_COUNTS)
-            for share in robust_search.STEP_FRACTIONS:  # of the way, if the equations are not as linear as taken
+            u, found = robust_least_squares.minimise(near, lights.ravel(), bounds, hold, SOFT_L1_COUNTS)
+            for share in robust_least_squares.STEP_FRACTIONS:  # of the way, if the equations are not as linear as taken
                 tried = v.copy()
                 tried[free] += share * half * (u - near.at)
                 some = lights.ravel() + share * (found - lights.ravel())
@@ -149,11 +147,11 @@ class Fits(Trials):
         """Half the ranges of parameters."""
         return np.asarray((self._most - self._least)[free] / 2)
 
-    def _tables(self, v: Array, seen: list[int]) -> Tables:
+    def _tables(self, v: Array, seen: list[int]) -> LinearModel:
         """The weighed equations of some pictures for the radiances, and their derivatives by the free parameters."""
         free = self._free(seen)
         rows, slopes = self._kept_start if np.array_equal(v, self._start) else self._derived(v, seen)
-        return Tables(
+        return LinearModel(
             (v - self._start)[free] / self._half(free),
             self.weighed([rows[k] for k in seen], seen),
             np.stack([self.weighed([one[k] for k in seen], seen) for one in slopes]),

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize_scalar
 
-from tacgen.calibrate.ball_dents import Dents
+from tacgen.calibrate.dent_tables import Dents
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Untouched
 from tacgen.sensor.model import LitSensor
@@ -58,7 +58,7 @@ class PressPicture:
 
 
 @dataclass(frozen=True)
-class Placed:
+class LocatedPresses:
     """Where presses lie, for a gel of one thickness, and what is left of their pictures."""
 
     at: Array  # (n, 3): depth, x, y [mm]
@@ -72,12 +72,10 @@ class PressView:
     """The compared pixels of a sensor's pictures, and what presses do there."""
 
     def __init__(self, sensor: LitSensor) -> None:
-        camera = PinholeCamera.from_sensor(sensor)
+        self.camera = camera = PinholeCamera.from_sensor(sensor)
         height, width = camera.shape
-        rim, self._stride = (
-            int(OMITTED_RIM_SHARE * min(height, width)),
-            max(1, round(np.sqrt(height * width / COMPARED_PIXELS))),
-        )
+        rim = int(OMITTED_RIM_SHARE * min(height, width))
+        self._stride = max(1, round(np.sqrt(height * width / COMPARED_PIXELS)))
         self._pixels = tuple(np.arange(rim + self._stride // 2, side - rim, self._stride) for side in (height, width))
         y, x = (part.ravel() for part in np.meshgrid(*self._pixels, indexing="ij"))
         self._origin, self._ray = camera.rays(np.column_stack([x, y]) + 0.5)
@@ -152,13 +150,10 @@ class PressView:
         return np.asarray(np.minimum((MISFIT_SECTORS * angle).astype(int), MISFIT_SECTORS - 1))
 
 
-def placed(
-    view: PressView,
-    pictures: Sequence[PressPicture],
-    dents: Mapping[float, Dents],
-    rich: bool,
-    near: Placed | None = None,
-) -> Placed:
+def located_with_best_blur(
+    view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], rich: bool,
+    near: LocatedPresses | None = None,
+) -> LocatedPresses:  # fmt: skip
     """Depths and centres of presses with the colours and the blur that suit them best.
 
     Args:
@@ -178,13 +173,12 @@ def placed(
         best = min(best, tried, key=lambda one: float(one.misfit.sum()))
         return float(tried.misfit.sum())
 
-    minimize_scalar(
-        misfit, bounds=(0.0, MAX_SLOPE_BLUR * thick), method="bounded", options={"xatol": SLOPE_BLUR_TOL * thick}
-    )
+    bounds, how = (0.0, MAX_SLOPE_BLUR * thick), {"xatol": SLOPE_BLUR_TOL * thick}
+    minimize_scalar(misfit, bounds=bounds, method="bounded", options=how)
     return best
 
 
-def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> bool:
+def colours_vary(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> bool:
     """Whether colours that vary over the picture suit unseen recordings better than those that hardly do.
 
     Recordings are left out in turn, at the depths and centres found with the simpler ones; with one recording, no.
@@ -209,14 +203,12 @@ def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[f
 def located(
     view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], start: Array, blur: float,
     rich: bool, colours: Array | None = None, rounds: int = MAX_COLOUR_ROUNDS,
-) -> Placed:  # fmt: skip
+) -> LocatedPresses:  # fmt: skip
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
-    at, found, moving = start.copy(), colours, np.ones(len(pictures), bool)
+    at, moving = start.copy(), np.ones(len(pictures), bool)
     tables = [view.columns(dents[p.ball], a, blur, rich) for p, a in zip(pictures, at, strict=True)]
     for _ in range(rounds):
-        if colours is None:
-            found = _colours(tables, pictures, rich)
-        assert found is not None
+        found = _colours(tables, pictures, rich) if colours is None else colours
         largest = 0.0
         for k in np.flatnonzero(moving).tolist():
             dent = dents[pictures[k].ball]
@@ -227,14 +219,10 @@ def located(
             largest = max(largest, abs(step[0]))
         if largest < SETTLED_DEPTH_MM:
             break
-    if colours is None:
-        found = _colours(tables, pictures, rich)
-    assert found is not None
-    misfit = [
-        np.bincount(view.sector(a), ((t @ found - p.change) ** 2).sum(axis=1), MISFIT_SECTORS)
-        for t, p, a in zip(tables, pictures, at, strict=True)
-    ]
-    return Placed(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
+    found = _colours(tables, pictures, rich) if colours is None else colours
+    left = [((table @ found - one.change) ** 2).sum(axis=1) for table, one in zip(tables, pictures, strict=True)]
+    misfit = [np.bincount(view.sector(a), one, MISFIT_SECTORS) for a, one in zip(at, left, strict=True)]
+    return LocatedPresses(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
 
 
 def _colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich: bool) -> Array:
@@ -252,16 +240,12 @@ def _step(
 ) -> Array:
     """Change of depth, x and y [mm] by Gauss and Newton, within the depths that are solved."""
     made = table @ colours
-    slopes = [
-        ((columns(at + DEPTH_DIFFERENCE_MM * (np.arange(3) == k)) @ colours - made) / DEPTH_DIFFERENCE_MM).ravel()
-        for k in range(3)
-    ]
-    jacobian = np.array(slopes)
+    moved = [columns(at + move) @ colours for move in DEPTH_DIFFERENCE_MM * np.eye(3)]
+    jacobian = np.array([(one - made).ravel() / DEPTH_DIFFERENCE_MM for one in moved])
     normal = jacobian @ jacobian.T
     held = normal + 1e-6 * max(float(np.trace(normal)), 1e-9) * np.eye(3)
-    step = np.clip(
-        np.linalg.solve(held, jacobian @ (picture.change - made).ravel()), -MAX_CENTRE_STEP_MM, MAX_CENTRE_STEP_MM
-    )
+    step = np.linalg.solve(held, jacobian @ (picture.change - made).ravel())
+    step = np.clip(step, -MAX_CENTRE_STEP_MM, MAX_CENTRE_STEP_MM)
     low, high = 0.7 * at[0] - 0.02, 1.5 * at[0] + 0.02  # no further in one round
     step[0] = np.clip(np.clip(at[0] + step[0], low, high), MIN_PRESS_DEPTH_MM, dents.depth[-1]) - at[0]
     return np.asarray(step)

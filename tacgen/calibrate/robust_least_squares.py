@@ -19,7 +19,7 @@ STEP_FRACTIONS = (1.0, 0.5, 0.25)  # of a step that are tried until the loss fal
 
 
 @dataclass(frozen=True)
-class Tables:
+class LinearModel:
     """Equations A (n, m + 1), the last column the photographs, and their derivatives S (parameters, n, m + 1)."""
 
     at: Array  # u0, where they were taken (parameters,)
@@ -39,18 +39,14 @@ class Ridge:
     scale: Array
 
 
-def loss(residual: Array, soft: float) -> float:
-    """Soft-l1 loss of residuals, sum of 2 soft^2 (sqrt(1 + (r / soft)^2) - 1)."""
-    return float((2 * soft**2 * (np.sqrt(1 + (residual / soft) ** 2) - 1)).sum())
+def loss(residual: Array, u: Array, lights: Array, ridge: Ridge, soft: float) -> float:
+    """Soft-l1 loss of residuals, sum of 2 soft^2 (sqrt(1 + (r / soft)^2) - 1), and the ridge's quadratic one."""
+    pixels = (2 * soft**2 * (np.sqrt(1 + (residual / soft) ** 2) - 1)).sum()
+    return float(pixels + ridge.weight**2 * ((u**2).sum() + (((lights - ridge.own) / ridge.scale) ** 2).sum()))
 
 
-def held(u: Array, lights: Array, ridge: Ridge) -> float:
-    """The ridge's part of the loss."""
-    return float(ridge.weight**2 * ((u**2).sum() + (((lights - ridge.own) / ridge.scale) ** 2).sum()))
-
-
-def search(
-    tables: Tables, lights: Array, bounds: tuple[Array, Array], ridge: Ridge, soft: float
+def minimise(
+    tables: LinearModel, lights: Array, bounds: tuple[Array, Array], ridge: Ridge, soft: float
 ) -> tuple[Array, Array]:
     """Parameters u (parameters,) within bounds, and radiances (m,) >= 0 that minimise the loss of the linear tables.
 
@@ -70,7 +66,7 @@ def search(
         return np.asarray(tables.rows + np.tensordot(x[:free] - tables.at, tables.slopes, 1))
 
     def cost(off: Array, x: Array) -> float:
-        return loss(off, soft) + held(x[:free], x[free:] * ridge.scale, ridge)
+        return loss(off, x[:free], x[free:] * ridge.scale, ridge, soft)
 
     def left(x: Array, here: Array) -> Array:
         return np.asarray(here @ np.append(x[free:] * ridge.scale, -1.0))
@@ -79,9 +75,8 @@ def search(
     off = left(x, here)
     now = cost(off, x)
     for _ in range(MAX_GAUSS_NEWTON_STEPS):
-        slope = np.column_stack(
-            [(tables.slopes @ np.append(x[free:] * ridge.scale, -1.0)).T, here[:, :-1] * ridge.scale]
-        )
+        moved = tables.slopes @ np.append(x[free:] * ridge.scale, -1.0)
+        slope = np.column_stack([moved.T, here[:, :-1] * ridge.scale])
         weighed = slope / np.sqrt(1 + (off / soft) ** 2)[:, None]
         square = weighed.T @ slope + ridge.weight**2 * np.eye(len(x))
         falls = weighed.T @ off + ridge.weight**2 * (x - aim)

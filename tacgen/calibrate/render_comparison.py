@@ -10,7 +10,7 @@ import numpy as np
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.photos import PhotographedPress
-from tacgen.calibrate.press_faces import mean_curvature
+from tacgen.calibrate.solved_presses import mean_curvature
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
@@ -98,8 +98,7 @@ class ChangeLikeness:
     @classmethod
     def of(cls, real: Array, made: Array) -> "ChangeLikeness":
         """From changes (n, 3) against the untouched picture."""
-        correlation = np.array([np.corrcoef(a, b)[0, 1] for a, b in zip(real.T, made.T, strict=True)])
-        return cls((real * made).sum(axis=0) / (real**2).sum(axis=0), correlation)
+        return cls((real * made).sum(axis=0) / (real**2).sum(axis=0), _correlation(real, made))
 
     def __str__(self) -> str:
         return of_change(self.contrast, self.correlation)
@@ -144,38 +143,27 @@ class Comparison:
 
     def deepest(self, presses: Sequence[PhotographedPress]) -> float:
         """Contact radius over the ball's that dents reach which stand for presses."""
-        return max(
-            TRAINING_CONTACT_SHARES[1],
-            *((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses),
-        )
+        shares = [(press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses]
+        return max(TRAINING_CONTACT_SHARES[1], *shares)
 
     def likeness(self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""
-        pairs = [
-            (
-                self.photographed(press, face, untouched),
-                self.rendered(press, face),
-                near(press, CORRELATED_CONTACT_RADII),
-            )
-            for press, face in zip(presses, faces, strict=True)
-        ]
-        per = np.array([[one.per_slope() for one in pair[:2]] for pair in pairs])
+        each = list(zip(presses, faces, strict=True))
+        real = [self.photographed(press, face, untouched) for press, face in each]
+        made = [self.rendered(press, face) for press, face in each]
+        per = np.array([[one.per_slope() for one in pair] for pair in zip(real, made, strict=True)])
         size, angle = np.linalg.norm(per, axis=3), np.degrees(np.arctan2(per[..., 1], per[..., 0]))
         turn = np.abs((angle[:, 1] - angle[:, 0] + 180) % 360 - 180)
         seen = ((size[:, 0] >= MIN_CONTRAST_CHANGE) | (size[:, 0] == size[:, 0].max(axis=0))) & (size[:, 0] > 0)
-        correlation = [
-            [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
-            for real, made, around in pairs
-        ]
+        around = [near(press, CORRELATED_CONTACT_RADII) for press in presses]
+        alike = [_correlation(a.change[w], b.change[w]) for a, b, w in zip(real, made, around, strict=True)]
         net, random = self.net(presses), np.random.default_rng(0)
-        noisy = [self.rendered(press, face, random) for press, face in zip(presses, faces, strict=True)]
-        each = np.array([real.off(net.normals(real.features)) for real, _, _ in pairs])
+        noisy = [self.rendered(press, face, random) for press, face in each]
+        off, off_noisy = (np.array([a.off(net.normals(a.features)) for a in part]) for part in (real, noisy))
         return Likeness(
             _median(size[:, 1] / np.where(seen, size[:, 0], 1.0), seen), _median(turn, seen),
-            np.median(correlation, axis=0),
-            float(each.mean()),
-            float(np.mean([made.off(net.normals(made.features)) for made in noisy])),
-            float(np.mean([real.off(real.flat) for real, _, _ in pairs])), each,
+            np.median(alike, axis=0), float(off.mean()), float(off_noisy.mean()),
+            float(np.mean([one.off(one.flat) for one in real])), off,
         )  # fmt: skip
 
     def dents(self, deepest: float, count: int, seed: int = 0) -> Iterator[PictureOfPress]:
@@ -185,13 +173,10 @@ class Comparison:
         bend, untouched = mean_curvature(self.sensor.gel), self._renderer.untouched
         for _ in range(count):
             ball = float(np.exp(random.uniform(*np.log(TRAINING_BALL_RADII_MM))))
-            contact = (
-                min(ball * random.uniform(TRAINING_CONTACT_SHARES[0], deepest), MAX_TRAINING_CONTACT_MM)
-                / camera.mm_per_px
-            )
-            center = tuple(float(random.uniform(0, side)) for side in camera.shape[::-1])
-            face = BallDent.seen(camera, ball, (center[0], center[1]), contact, untouched, bend)
-            yield self._seen(self.picture(face, random), self.flat, face, (center[0], center[1]), contact)
+            reach = min(ball * random.uniform(TRAINING_CONTACT_SHARES[0], deepest), MAX_TRAINING_CONTACT_MM)
+            x, y = (float(random.uniform(0, side)) for side in camera.shape[::-1])
+            face = BallDent.seen(camera, ball, (x, y), reach / camera.mm_per_px, untouched, bend)
+            yield self._seen(self.picture(face, random), self.flat, face, (x, y), reach / camera.mm_per_px)
 
     def _seen(
         self, picture: Array, untouched: Array, face: Surface, center: tuple[float, float], contact: float
@@ -221,6 +206,11 @@ def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float, a
 def near(press: PhotographedPress, reach: float) -> Array:
     """Pixels within `reach` contact radii of a press's middle, (H, W) bool."""
     return circle(press.picture.shape, press.center, reach * (press.contact or 0.0), press.aspect)
+
+
+def _correlation(real: Array, made: Array) -> Array:
+    """Correlation (3,) of changes (n, 3) in each channel."""
+    return np.array([np.corrcoef(a, b)[0, 1] for a, b in zip(real.T, made.T, strict=True)])
 
 
 def _median(values: Array, where: Array) -> Array:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.calibrate.likeness import ChangeLikeness, Likeness
 from tacgen.calibrate.photos import PhotographedPress
+from tacgen.calibrate.render_comparison import ChangeLikeness, Likeness
 from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Renderer
 from tacgen.report import fit_figures
@@ -31,7 +31,7 @@ def folds(presses: int) -> list[list[int]]:
 
 
 @dataclass(frozen=True)
-class Unseen:
+class HeldOutPresses:
     """Scores of a sensor file and of fits on presses that those fits have not seen."""
 
     presses: tuple[PhotographedPress, ...]
@@ -96,7 +96,7 @@ class Fitted:
     before: float  # the same before the fit
     presses: float | None = None  # of the change under the presses, all of them seen by this fit
     deeper: float = 1.0  # factor on all given depths
-    unseen: Unseen | None = None  # None: too few presses to hold any out
+    unseen: HeldOutPresses | None = None  # None: too few presses to hold any out
     ridge: float | None = None  # weight of the sensor file's values that suits unseen presses best
     determined: Mapping[str, float] = field(default_factory=dict)  # share of each parameter, see `determined`
 

@@ -13,8 +13,8 @@ from scipy.ndimage import gaussian_filter1d
 from tacgen import mechanics
 from tacgen.base import array_cache
 from tacgen.base.errors import UserError
-from tacgen.calibrate import press_faces
-from tacgen.calibrate.press_faces import MAX_PRESS_DEPTH_RATIO, MIN_PRESS_DEPTH_RATIO
+from tacgen.calibrate import solved_presses
+from tacgen.calibrate.solved_presses import MAX_PRESS_DEPTH_RATIO, MIN_PRESS_DEPTH_RATIO
 from tacgen.optics.surface_grid import Untouched
 from tacgen.outputs import gel_surface
 from tacgen.sensor.model import LitSensor
@@ -51,9 +51,8 @@ class Dents:
 
     def force_at(self, depth: Array) -> Array:
         """Force (k,) [N] at depths (k,) [mm], at the file's moduli; 0 above the gel."""
-        rooted = PchipInterpolator(
-            np.append(0.0, self.depth), np.append(0.0, self.force**HERTZ_FORCE_POWER), extrapolate=True
-        )
+        force = np.append(0.0, self.force**HERTZ_FORCE_POWER)
+        rooted = PchipInterpolator(np.append(0.0, self.depth), force, extrapolate=True)
         return np.asarray(np.maximum(rooted(np.maximum(depth, 0.0)), 0.0) ** (1 / HERTZ_FORCE_POWER))
 
     def contact_at(self, depth: float) -> float:
@@ -73,11 +72,8 @@ class Dents:
         drop, slope = ((1 - w) * table[k] + w * table[k + 1] for table in (self.drop, self.slope))
         reach = np.sqrt(self.ball * depth)
         width = blur / reach  # in scaled radii
-        fine = np.linspace(
-            0,
-            DENT_RADII[-1],
-            min(MAX_BLUR_POINTS, 2 + int(POINTS_PER_BLUR_STD * DENT_RADII[-1] / width)) if width else MAX_BLUR_POINTS,
-        )
+        points = 2 + int(POINTS_PER_BLUR_STD * DENT_RADII[-1] / width) if width else MAX_BLUR_POINTS
+        fine = np.linspace(0, DENT_RADII[-1], min(MAX_BLUR_POINTS, points))
         radial = np.interp(fine, DENT_RADII, slope)
         if width > MIN_BLUR_SPACINGS * fine[1]:
             both = np.concatenate([-radial[:0:-1], radial])  # odd in the radius
@@ -91,11 +87,11 @@ def with_thickness(sensor: LitSensor, thickness: float) -> LitSensor:
     they are beside the plate."""
     factor = thickness / sensor.gel.thickness_mm
     layers = tuple(one.model_copy(update={"thickness_mm": one.thickness_mm * factor}) for one in sensor.gel.layers)
-    down = thickness - sensor.gel.thickness_mm
-    leds = tuple(
-        led.model_copy(update={"center_mm": (*led.center_mm[:2], led.center_mm[2] - down)}) for led in sensor.leds
-    )
-    return sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers}), "leds": leds})
+    gel, leds = sensor.gel.model_copy(update={"layers": layers}), []
+    for led in sensor.leds:
+        x, y, z = led.center_mm
+        leds.append(led.model_copy(update={"center_mm": (x, y, z - (thickness - sensor.gel.thickness_mm))}))
+    return sensor.model_copy(update={"gel": gel, "leds": tuple(leds)})
 
 
 def solved(
@@ -106,9 +102,8 @@ def solved(
     They are kept in the cache. Raises UserError: the solver fails before the last two depths.
     """
     thick = sensor.gel.thickness_mm - sensor.gel.drop_mm(*at)
-    largest = min(
-        MAX_DENT_DEPTH_BY_WIDTH * widest**2 / ball, MAX_PRESS_DEPTH_RATIO * thick, MAX_DEPTH_PER_BALL_RADIUS * ball
-    )
+    by_width, by_ball = MAX_DENT_DEPTH_BY_WIDTH * widest**2 / ball, MAX_DEPTH_PER_BALL_RADIUS * ball
+    largest = min(by_width, MAX_PRESS_DEPTH_RATIO * thick, by_ball)
     depths = np.geomspace(max(0.02 * largest, MIN_PRESS_DEPTH_RATIO * thick), largest, DENT_DEPTHS)
     key = array_cache.digest(
         [DENT_TABLE_VERSION, sensor.gel.model_dump_json(), ball, at, depths, friction, quality, DENT_DEPTHS, DENT_RADII]
@@ -122,12 +117,13 @@ def _solved(
 ) -> tuple[Array, ...]:
     """The arrays of Dents."""
     aims = [{"depth_mm": float(depth)} for depth in depths]
-    problem, states = press_faces.solved_states(press_faces.press_row(sensor, ball, at, aims, quality, friction))
+    problem, states = solved_presses.solved_states(solved_presses.press_row(sensor, ball, at, aims, quality, friction))
     untouched, found = gel_surface.seen(problem.mesh, len(sensor.gel.clear_layers)), []
     try:
         for state, depth in zip(states, depths, strict=False):
             around = _profile(untouched.pressed(problem, state), Untouched.of(sensor.gel), at, ball, float(depth))
-            found.append((mechanics.normal_force(state), *around, _contact(problem, state)))
+            contact = np.sqrt(problem.contact.faces.areas[state.normal_force > 0].sum() / np.pi)  # of a circle
+            found.append((mechanics.normal_force(state), *around, contact))
     except mechanics.NotConverged as error:
         if len(found) < DENT_DEPTHS - 2:
             raise UserError(
@@ -138,12 +134,6 @@ def _solved(
     return depths[: len(found)], force, drop, slope, contact
 
 
-def _contact(problem: mechanics.Problem, state: mechanics.State) -> float:
-    """Radius [mm] of the circle that has the area of the contact."""
-    touched = state.normal_force > 0
-    return float(np.sqrt(problem.contact.faces.areas[touched].sum() / np.pi))
-
-
 def _profile(
     face: gel_surface.GelSurface, untouched: Untouched, at: tuple[float, float], ball: float, depth: float
 ) -> tuple[Array, Array]:
@@ -151,9 +141,9 @@ def _profile(
     reach, angle = np.sqrt(ball * depth), 2 * np.pi * (np.arange(DENT_RAYS) + 0.5) / DENT_RAYS
     r = DENT_RADII * reach
     rest = np.array(at) + r[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    inside = (np.abs(rest) < face.rest[:, :2].max(axis=0)).all(axis=2)
-    now = face.at(np.clip(rest.reshape(-1, 2), face.rest[:, :2].min(0), face.rest[:, :2].max(0)))
-    now = now.reshape(*rest.shape[:2], 3)
+    low, high = face.rest[:, :2].min(axis=0), face.rest[:, :2].max(axis=0)
+    inside = (np.abs(rest) < high).all(axis=2)
+    now = face.at(np.clip(rest.reshape(-1, 2), low, high)).reshape(*rest.shape[:2], 3)
     z = now[..., 2] - untouched.at(now[..., :2].reshape(-1, 2))[:, 2].reshape(inside.shape)
     away = np.hypot(*np.moveaxis(now[..., :2] - at, 2, 0))
     lines = [np.interp(r, away[inside[:, k], k], z[inside[:, k], k], right=0.0) for k in range(DENT_RAYS)]
