@@ -130,6 +130,16 @@ def test_what_is_kept_between_two_load_steps_goes_on_in_another_process() -> Non
     assert (again.state or half.state).substeps == (whole.state or half.state).substeps
 
 
+def test_a_load_step_begins_without_the_facets_of_the_one_before() -> None:
+    problem, course = begun(BALL, replace(USUAL, sink=0.1), 0.3)
+    one = OneScene(problem, course)
+    solver.go_on(one, until=Phase.step)
+    solver.go_on(one, until=Phase.begin)
+    assert one.touching is not None
+    solver.go_on(one, until=Phase.step)
+    assert one.touching is None
+
+
 def test_the_printed_table_is_the_table() -> None:
     page = (Path(__file__).parents[2] / "docs" / "MECHANICS.md").read_text(encoding="utf-8")
     assert phases.table() in page
