@@ -51,9 +51,10 @@ def alike(one: list[State], two: list[State], tol: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [CylinderSdf(1.2, 0.4), SphereSdf(2.5)], ids=lambda shape: type(shape).__name__)
 def test_the_answer_is_that_of_the_oracle_in_fewer_factorisations(shape: Shape) -> None:
-    """Steps begin from the gel left behind in both: what is predicted says where new points first touch."""
-    oracle = replace(plain(), step_tol=3e-4, residual_tol=1e-7)
-    (one, first), (two, second) = (solved(shape, PATH, o) for o in (oracle, replace(TIGHT, predict=False)))
+    """Steps begin from the gel left behind in both: what is predicted says where new points first touch. Tolerances are
+    alike too: under the sliding punch two equilibria are 1 % apart, and the last digits choose one."""
+    both = (replace(options, step_tol=3e-4, residual_tol=1e-7) for options in (plain(), STILL))
+    (one, first), (two, second) = (solved(shape, PATH, options) for options in both)
     assert not first.condensed
     assert second.condensed
     assert second.linear.factored == 0
