@@ -7,9 +7,9 @@ It knows no recipe. A Scene (gel, indenter, poses, friction, tolerances) is mesh
     for state in states(scene, problem):
         state.traction_force.sum((0, 1))  # force of the indenter on the gel (3,) [N]
 
-docs/MECHANICS.md has the algorithm by module. `solver` drives it: kernels of load_step, bulk_newton (on the gel, with
-contact_newton on its Schur complement), admission and load_stepping, in the order of phases.PHASE_TRANSITIONS. Without
-CHOLMOD full_newton solves on all unknowns.
+docs/MECHANICS.md has the algorithm by module. `solver` drives it: kernels of load_step_phases, bulk_newton, admission
+and load_stepping, in the order of phases.PHASE_TRANSITIONS, on the arrays of one_scene (contact_newton solves on the
+Schur complement) or of the batch engine. Without CHOLMOD full_newton solves on all unknowns.
 The names are imported when they are first used: a recipe's path needs no solver.
 """
 

@@ -1,6 +1,6 @@
 """How far the solve of a frame is, whichever engine solves it; arrays of the present load step are that engine's."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -79,11 +79,6 @@ class Course:
     def fail(self, failure: Failure, **data: object) -> None:
         """Note why the load step has no solution."""
         self.failure = NotConverged(failure, **data)
-
-    def take(self, other: "Course") -> None:
-        """Become what another course is."""
-        for each in fields(Course):
-            setattr(self, each.name, getattr(other, each.name))
 
     def __str__(self) -> str:
         left, newton = len(self.legs), self.newton

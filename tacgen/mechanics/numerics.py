@@ -4,7 +4,7 @@ The phases (load_step_phases, bulk_newton, admission, load_stepping) decide how 
 know is computed here, for the scenes in some rows at once. `one_scene.OneScene` does so on a core.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -78,7 +78,7 @@ class Numerics(Protocol):
         """Whether contact is solved on Schur complements."""
 
     @property
-    def courses(self) -> Sequence[Course]:
+    def courses(self) -> Mapping[int, Course]:
         """How far the scene in each row is."""
 
     def problem(self, row: int) -> Problem: ...

@@ -73,7 +73,7 @@ class OneScene:
     found: Equilibrium
 
     def __init__(self, problem: Problem, course: Course) -> None:
-        self._problem, self.courses = problem, (course,)
+        self._problem, self.course, self.courses = problem, course, {0: course}
         self.options, self.condensed = problem.options, problem.condensed
 
     def problem(self, row: int) -> Problem:
@@ -85,7 +85,7 @@ class OneScene:
         return self.options.step_tol * self._problem.contact.dhat
 
     def place(self, rows: list[int]) -> list[Outcome]:
-        problem, (course,) = self._problem, self.courses
+        problem, course = self._problem, self.course
         history, leg = course.history, course.legs[0]
         self.step = LoadStep.of(problem, history, Pose.of(leg.b), leg.duration)
         if not self.condensed:
@@ -102,7 +102,7 @@ class OneScene:
         return [Outcome.ready if covered and exact else Outcome.missing]
 
     def renew(self, rows: list[int]) -> list[bool]:
-        return [self._taken(self.step.bulk.at(self.courses[0].history.x), None)]
+        return [self._taken(self.step.bulk.at(self.course.history.x), None)]
 
     def _taken(self, at: BulkPoint, J: tuple[Array, ...] | None) -> bool:
         try:
@@ -116,7 +116,7 @@ class OneScene:
         return [self.step.prediction is not None]
 
     def choose(self, rows: list[int]) -> list[bool]:
-        near = self.courses[0].near
+        near = self.course.near
         if (x := self.step.start(None if near is None else near.x)) is None:
             return [False]
         self.step, self.begins = self.step.anchored(), x
@@ -128,18 +128,18 @@ class OneScene:
         if self.condensed:
             self.at = self.step.bulk.at(self.begins)
             mixed = self.options.mixed_pressure
-            self.J = self.step.bulk.at(self.courses[0].history.x).J if mixed else self.at.J
+            self.J = self.step.bulk.at(self.course.history.x).J if mixed else self.at.J
 
     def whole(self, row: int) -> NotConverged | None:
         if isinstance(found := self.step.solve(self.begins), NotConverged):
             return found
-        self.found, self.courses[0].newton.steps = found, found.steps
+        self.found, self.course.newton.steps = found, found.steps
         return None
 
     def follow(self, rows: list[int]) -> list[bool]:
         condensed, conn = self._problem.tangent.condensation, self.coupled.contact.faces.conn
         if self.touching is None:
-            self.touching = touched(self.courses[0].history, self.coupled.contact, self.at.x)
+            self.touching = touched(self.course.history, self.coupled.contact, self.at.x)
         if not condensed.covers(conn[self.touching]):
             condensed.cover(with_neighbours(conn, self.touching))
         return [self._problem.tangent.usable]
@@ -148,14 +148,14 @@ class OneScene:
         return [self._taken(self.at, self.J if self.options.mixed_pressure else None)]
 
     def load(self, rows: list[int]) -> None:
-        tangent, damping = self._problem.tangent, self.courses[0].newton.inner_damping
+        tangent, damping = self._problem.tangent, self.course.newton.inner_damping
         condensed, g = tangent.condensation, tangent.unbalanced(self.at, self.J)
         y = condensed.forward(g)
         start, schur = self.at.x[condensed.nodes], condensed.schur.damped(damping)
         self._untouched(g, y, Quadratic(start, condensed.dofs, schur, condensed.load(y)))
 
     def untouch(self, rows: list[int]) -> None:
-        made, damping = self.making, self.courses[0].newton.inner_damping
+        made, damping = self.making, self.course.newton.inner_damping
         self._untouched(made.g, made.y, replace(made.quadratic, schur=made.quadratic.schur.damped(damping)))
 
     def _untouched(self, g: Array, y: Array, quadratic: Quadratic) -> None:
@@ -168,7 +168,7 @@ class OneScene:
             made.quadratic, made.inner, xtol=self._end, max_steps=options.max_contact, radius=self._problem.edge
         )
         self.making = replace(made, inner=inner)
-        self.courses[0].newton.inner_damping = made.quadratic.schur.damping  # which the step may have increased
+        self.course.newton.inner_damping = made.quadratic.schur.damping  # which the step may have increased
         return [CONTACT_OUTCOMES.get(inner.status, Outcome.ended)]
 
     def lower(self, rows: list[int], part: float) -> list[bool]:
@@ -181,7 +181,7 @@ class OneScene:
         if part < 1:
             change = contact.merit(touch, inner.forces) - before
         total = np.array([there.energy - at.energy + change])
-        rounding = self._end * self.courses[0].history.least_force + ENERGY_ROUNDING * abs(at.energy)
+        rounding = self._end * self.course.history.least_force + ENERGY_ROUNDING * abs(at.energy)
         if not gain(total, np.array([part * predicted]), rounding)[0] >= MIN_ENERGY_GAIN:
             return [False]
         if part < 1:
@@ -202,7 +202,7 @@ class OneScene:
         return Direction(p, bulk + change, before, change)
 
     def measure(self, rows: list[int]) -> list[StepEnd]:
-        (course,), tangent, inner = self.courses, self._problem.tangent, self.making.inner
+        course, tangent, inner = self.course, self._problem.tangent, self.making.inner
         there, still = self.there, bool(np.abs(self.there.x - self.at.x).max() <= self._end)
         residual = self._residual(there)
         self.J = tangent.predicted(self.at, there) if self.options.mixed_pressure else there.J
@@ -219,14 +219,14 @@ class OneScene:
         problem, inner = self._problem, self.making.inner
         nodes, r = problem.tangent.condensation.nodes, there.gradient.copy()
         r[nodes] -= inner.contact.contact.faces.scatter(inner.forces.force, len(nodes))
-        force = max(float(inner.forces.N.sum()), self.courses[0].history.least_force)
+        force = max(float(inner.forces.N.sum()), self.course.history.least_force)
         return float(np.linalg.norm(r.ravel()[problem.pattern.free])) / force
 
     def least_J(self, row: int, start: bool) -> float:
         return self.step.bulk.least_J(self.begins if start else self.at.x)
 
     def check(self, rows: list[int]) -> list[Checked]:
-        problem, (course,) = self._problem, self.courses
+        problem, course = self._problem, self.course
         if self.condensed:
             self.found = Equilibrium.coupled(self.at.x, self.coupled, course.newton.steps, self.path)
         x, forces, faces = self.found.x, self.found.forces, problem.contact.faces
@@ -245,7 +245,7 @@ class OneScene:
         self.step, self.begins = self.step.stiffened(self.found, contact, folding), self.found.x
 
     def record(self, rows: list[int]) -> list[Reached]:
-        problem, step, (course,) = self._problem, self.step, self.courses
+        problem, step, course = self._problem, self.step, self.course
         history, x, forces, coupled = course.history, self.found.x, self.found.forces, self.found.contact
         contact, N = coupled.contact, forces.N
         moved, slipped = dragged(coupled.anchor, forces.at, forces.normal, N, coupled.eps)

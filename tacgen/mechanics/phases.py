@@ -68,9 +68,9 @@ FINAL_PHASES = frozenset({P.done, P.failed})
 COUNTED_PHASES = {  # phases whose kernel bounds how often it is passed, and by what
     P.step: "SolverOptions.max_newton and max_effort",
     P.contact: "SolverOptions.max_contact",
-    P.damp: "DAMPING_MAX",
-    P.admit: "STIFFENINGS, and the load steps that are left",
-    P.halve: "SolverOptions.halvings and fold_halvings, TOO_FAR",
+    P.damp: "MAX_DAMPING",
+    P.admit: "MAX_BARRIER_STIFFENINGS, and the load steps that are left",
+    P.halve: "SolverOptions.halvings and fold_halvings, MAX_TUNNELLING_HALVINGS",
 }
 
 

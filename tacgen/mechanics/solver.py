@@ -36,7 +36,7 @@ def advance(n: Numerics, phase: Phase, rows: list[int]) -> None:
 
 def go_on(scene: OneScene, until: Phase | None = None) -> None:
     """Kernel after kernel until a frame is done or failed, or before the next kernel of the phase `until`."""
-    (course,) = scene.courses
+    course = scene.course
     while course.phase not in FINAL_PHASES:
         advance(scene, course.phase, [0])
         if course.phase is until:

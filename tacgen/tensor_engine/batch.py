@@ -129,7 +129,6 @@ class Batch:
     options: SolverOptions
     factors: Factors
     scenes: list[Slot]
-    courses: list[Course]
     X: Tensor
     exists: Tensor
     used: Tensor
@@ -147,6 +146,7 @@ class Batch:
     friction: Tensor
     patch: Tensor
     replays: Replays
+    courses: dict[int, Course] = field(default_factory=dict)  # by slot, of the solves in hand
     t: Tensors = field(init=False)
 
     @classmethod
@@ -191,7 +191,6 @@ class Batch:
         dhat = number([c.dhat for c in contacts])
         batch = cls(
             topology, problems[0].options, factors, [Slot(*each) for each in zip(problems, places, strict=True)],
-            [Course(0, problem.rest(problem.contact.pose), ()) for problem in problems],
             nodes, there, used.to(device), free.to(device), hexes, folding,
             Shapes.of([c.shape for c in contacts], FLOAT_TYPE, device), number(contacts[0].faces.N),
             number(HEX_SHAPE_VALUES), number(areas), dhat,

@@ -63,31 +63,31 @@ def advance(b: ManyScenes, phase: Phase, rows: list[int]) -> None:
 def frames(b: ManyScenes, row: int, scene: Scene) -> Iterator[int]:
     """Puts solve after solve of a scene's path before the first kernel, each time the one before is over; yields the
     numbers of their frames."""
-    slot, course, kept, last = b.scenes[row], b.courses[row], dict[str, Tensor](), None
+    slot, kept, last = b.scenes[row], dict[str, Tensor](), None
+    b.courses.pop(row, None)
     try:
         for each in path(scene, slot.problem):
             if isinstance(each, State):
                 slot.states.append(each)
                 continue
-            now = each.now
+            course = each.now
             if each.problem is not slot.problem:
                 slot.why = "a force that is small beside the tolerances"
                 return
             if last is None:
-                admission.rest(b, row, now.history)
-            if last is not None and last is not now.history:  # one more trial of a force, from where the first began
+                admission.rest(b, row, course.history)
+            if last is not None and last is not course.history:  # one more trial of a force, from where the first began
                 b.t.put(b.slots([row]), **kept)
             elif scene.forced is not None:
                 kept = {name: rows[[row]] for name, rows in vars(b.t).items() if name.startswith("h_")}
-            course.take(now)
-            if now.near is not None:
-                nodes, x = (torch.as_tensor(part, device=b.X.device) for part in (slot.place.nodes, now.near.x))
+            b.courses[row] = course
+            if course.near is not None:
+                nodes, x = (torch.as_tensor(part, device=b.X.device) for part in (slot.place.nodes, course.near.x))
                 b.t.begins[row, nodes] = x
             yield course.index
             if slot.left:
                 slot.why = "the contact leaves the fine part of the mesh"
                 return
-            now.take(course)
             last = course.history
     except NotConverged as error:
-        slot.why, course.phase = error, Phase.failed
+        slot.why = error

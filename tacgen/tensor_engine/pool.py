@@ -91,14 +91,15 @@ class ScenePool:
 
     def phase(self, slot: int) -> Phase | None:
         """The kernel for which the scene in a slot waits; None: all its frames are solved, or one could not be."""
-        course = self.batch.courses[slot]
+        if (course := self.batch.courses.get(slot)) is None:  # refused before its first solve
+            return None
         if self._calls[slot] <= 0 and course.phase not in FINAL_PHASES:
             return None
         if course.phase in FINAL_PHASES:
             if next(self._frames[slot], None) is None:
                 return None
             self._calls[slot] += self._most
-        return course.phase
+        return self.batch.courses[slot].phase
 
     def kind(self, slot: int) -> Kind:
         """For kernels of dense matrices of a contact's nodes, their class; and what of a contact's step is next."""
@@ -115,7 +116,7 @@ class ScenePool:
         """The states of the scene in a slot, which has ended or is put off."""
         del self._frames[slot]
         scene = self.batch.scenes[slot]
-        late = self.batch.courses[slot].phase not in FINAL_PHASES and scene.why is None
+        late = scene.why is None and self.batch.courses[slot].phase not in FINAL_PHASES
         return Solved(scene.states, f"put off after {len(scene.states)} frames" if late else scene.why, late)
 
 

@@ -29,7 +29,7 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
         for name in names:
             getattr(mine, name)[slot] = getattr(new, name)[0]
     b.hexes = replace(b.hexes, laws=b.hexes.laws.replaced(slot, one.hexes.laws))
-    b.scenes[slot], b.courses[slot] = one.scenes[0], one.courses[0]
+    b.scenes[slot] = one.scenes[0]
     for name, rows in vars(b.t).items():
         rows[slot] = b._blank(name, 1, rows.shape[1:])[0] if name in WIDE_ARRAYS else getattr(one.t, name)[0]
     b.indent(slot, one.shapes.all[0])

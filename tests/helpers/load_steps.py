@@ -17,7 +17,7 @@ def watched(
     usual, done = solver.PHASE_KERNELS[Phase.start], list[Leg]()
 
     def start(n: Numerics, rows: list[int]) -> list[Outcome]:
-        (course,) = n.courses
+        course = n.courses[0]
         if failure := refuse(course):
             course.failure = failure
             return [Outcome.failure]
