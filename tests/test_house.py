@@ -37,6 +37,7 @@ LAYERS = [
     "api",
     "calibrate",
     "replay",
+    "touch",
     "cli",
     "__main__",
 ]
