@@ -96,6 +96,25 @@ def _reach_force(
     raise NotConverged(Failure.force, asked=target, most=most, why=why)
 
 
+def _reach_pose(
+    problem: Problem, history: History, last: Array, pose: Array, turn: Array, index: int, duration: float
+) -> Generator[Task, None, Course]:
+    """From pose `last` to `pose`; once more with smaller tolerances where forces do not balance with the usual ones."""
+    task = Task(problem, to_pose(problem, history, last, pose, turn, index, duration))
+    yield task
+    failure = task.now.failure
+    if (
+        failure is None
+        or failure.failure is not Failure.unbalanced
+        or problem.options.step_tol < DEFAULT_OPTIONS.step_tol
+    ):
+        return task.now
+    finer = replace(problem, options=tighter(problem.options))
+    task = Task(finer, to_pose(finer, history, last, pose, turn, index, duration))
+    yield task
+    return task.now
+
+
 def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None,
     effort: int = 0,
@@ -155,9 +174,8 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
             if forced is not None and shift:
                 pose = pose + forced.carry[index] * shift * UNIT_RISE
             turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
-            task = Task(problem, to_pose(problem, history, last, pose, turn, index, duration))
-            yield task
-            history, state = task.now.reached()
+            found = yield from _reach_pose(problem, history, last, pose, turn, index, duration)
+            history, state = found.reached()
         if forced is not None:
             before = normal_force(state)
         yield state

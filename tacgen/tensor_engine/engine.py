@@ -72,7 +72,7 @@ def frames(b: ManyScenes, row: int, scene: Scene) -> Iterator[int]:
                 continue
             course = each.now
             if each.problem is not slot.problem:
-                slot.why = "a force that is small beside the tolerances"
+                slot.why = "forces need smaller tolerances than the batch has"
                 return
             if last is None:
                 admission.rest(b, row, course.history)
