@@ -153,4 +153,4 @@ def test_tighter_tolerances_are_left_to_the_cpu_engine() -> None:
     """With which it searches on where a force is too small for the usual ones; a batch has one."""
     made = forced(small(BALL, path((0, 0, -0.2))), [0.3], tol=1e-15)
     (solved,) = solve(batch([made]), [made])
-    assert solved == Solved([], "a force that is small beside the tolerances")
+    assert solved == Solved([], "forces need smaller tolerances than the batch has")
