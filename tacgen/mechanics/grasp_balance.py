@@ -17,7 +17,7 @@ import numpy as np
 from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.frames import normal_force, trial
+from tacgen.mechanics.frames import GUESSED_DEPTH_RATIO, normal_force, trial
 from tacgen.mechanics.grasp import FINGER_ROTATIONS, FINGER_SIDES, GraspScene, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT_OPTIONS, tighter
@@ -45,7 +45,6 @@ MIN_FORCE_PER_WEIGHT = 1e-3  # smallest force scale, over the weight [-]
 MIN_STIFFNESS_RATIO = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
 # the error of a resultant is the sum of the nodal residuals, some ten times their 2-norm
 GRASP_OPTIONS = tighter(DEFAULT_OPTIONS)
-GUESSED_DEPTH_RATIO = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
 MIN_GRASP_STEP = 1 / 4  # smallest fraction of a Newton step in the line search [-]
 
 

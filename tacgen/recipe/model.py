@@ -269,6 +269,12 @@ class Recipe(Part):
         return sum(segment.frames for segment in self.trajectory)
 
     @property
+    def match(self) -> Literal["force", "grip"] | None:
+        """What of a replayed table is met instead of its poses, if anything is."""
+        matched = (step.replay.match for step in self.trajectory if step.replay and step.replay.matched)
+        return next(matched, None)  # type: ignore[return-value]  # pose is not matched
+
+    @property
     def files(self) -> tuple[KeyPath, ...]:
         """The places in the recipe that name files, whose paths are relative to the file they are written in."""
         tables = [("trajectory", i, "replay", "file") for i, step in enumerate(self.trajectory) if step.replay]
