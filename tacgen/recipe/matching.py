@@ -32,13 +32,12 @@ def asked(rows: Sequence[TimedPose], move: Replay) -> "Array":
 
 
 def _medians(values: "Array", rows: int) -> "Array":
-    """Each value's median with those next to it, at an end with the last one repeated; nan is left out, and stays."""
+    """Each value's median with those next to it, at an end with the last one repeated; nan stays, and next to a value
+    counts as that value."""
     import numpy as np
 
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, rows // 2, mode="edge"), rows)
-    out, known = values.copy(), np.isfinite(values)
-    out[known] = np.nanmedian(windows[known], axis=1)
-    return out
+    return np.asarray(np.median(np.where(np.isnan(windows), values[:, None], windows), axis=1))
 
 
 def lacks(rows: Sequence[TimedPose], move: Replay) -> str | None:

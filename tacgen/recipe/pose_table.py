@@ -102,17 +102,19 @@ def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray
     return poses
 
 
-def relative(rows: "Sequence[TimedPose]", sensor_pose: "Placement", indenter_pose: "Placement") -> "ndarray":
+def relative(
+    rows: "Sequence[TimedPose]", sensor_pose: "Placement", indenter_pose: "Placement | None" = None
+) -> "ndarray":
     """Poses (n, 4, 4) of the indenter in the sensor's frame.
 
     Args:
         rows: of one table.
         sensor_pose: of the sensor's frame in the recorded sensor body or, without that, in the table's frame.
-        indenter_pose: of the indenter's frame in the recorded body.
+        indenter_pose: of the indenter's frame in the recorded body; None: the same.
     """
     import numpy as np
 
-    frames = (sensor_pose, indenter_pose)
+    frames = (sensor_pose, indenter_pose or type(sensor_pose)())
     sensor, inner = matrices([p.position_mm for p in frames], [p.quaternion for p in frames])
     bodies = [row.sensor for row in rows if row.sensor is not None]
     mounted = np.array(bodies) @ sensor if bodies else sensor

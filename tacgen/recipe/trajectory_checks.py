@@ -50,7 +50,12 @@ def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
             f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for: leave frames out, or as many"
         )
     poses = pose_table.relative(rows, move.sensor_pose, move.indenter_pose)
-    return tuple(row._replace(pose=pose, sensor=None) for row, pose in zip(rows, poses, strict=True))
+    held = [row._replace(pose=row.held) for row in rows if row.held is not None]
+    each = iter(pose_table.relative(held, move.sensor_pose) if held else ())
+    return tuple(
+        row._replace(pose=pose, sensor=None, held=None if row.held is None else next(each))
+        for row, pose in zip(rows, poses, strict=True)
+    )
 
 
 def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
