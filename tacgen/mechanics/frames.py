@@ -1,7 +1,8 @@
 """The states of all frames along the path.
 
 Each frame is at exactly the given pose, or at the height of the prescribed force. If a frame has no solution the
-scene is rejected; a force of a table that no height has gives the nearest one that was found, with a note. `path` says what is to be solved, and whichever engine there is solves it.
+scene is rejected; for a force of a table that no height has, it is at the nearest one that was found, with a note.
+`path` says what is to be solved, and whichever engine there is solves it.
 """
 
 import math

@@ -60,8 +60,9 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True)
 class Match:
-    """What a table wants of frames (N,), and whether it wants anything (`frames`). poses (N, 4, 4): of the object in the
-    sensor's frame, in a grasp in the world; nan where not known; force [N], nan where not known; notes: see Wanted."""
+    """What a table wants of frames. frames (N,): whether it wants anything; poses (N, 4, 4): of the object in the
+    sensor's frame, in a grasp in the world, nan where not known; force (N,) [N], nan likewise; notes: see Wanted.
+    """
 
     frames: Array
     poses: Array

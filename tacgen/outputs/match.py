@@ -36,8 +36,7 @@ OUTPUT = Output(
     "with `match: force` or `grip` of a replay: the table's force, the one that is reached, and the pose's correction",
     {
         "/frames/match/correction_mm": number(
-            "from the object's pose in the table to the one that is solved, along the sensor's z; nan where the table has"
-            " none",
+            "from the object's pose in the table to the solved one, along the sensor's z; nan where the table has none",
             "mm",
             nan=True,
         ),

@@ -37,6 +37,8 @@ def build(row: Row) -> GraspScene:
     if rows and rows[0].held is not None:
         start, opening = centred(shape, gels, np.linalg.inv(begin) @ rows[0].held)
         where = "the poses of gripper and object in the table's first row"
+        if (off := abs(start[0, 3] - (np.linalg.inv(begin) @ rows[0].held)[0, 3])) > opening / 2:
+            raise UserError(f"grasp: the object is {off:.3g} mm from the middle of the fingers: check {where}")
     else:
         start, opening = first_touch(shape, gels, height, asked.y_mm, float(np.radians(asked.yaw_deg)))
         where = "height_mm and y_mm"
@@ -92,7 +94,7 @@ def _path(
                     pose[:3, :3] = about(level, part * np.radians(angle)) @ first[:3, :3]
             frames.append((pose, width, force, part, wanted))
     poses, *rest, asked_for = zip(*frames, strict=True)
-    return np.array(poses), *(np.array(column) for column in rest), asked_for  # type: ignore[return-value]
+    return np.array(poses), *(np.array(column) for column in rest), asked_for
 
 
 def _gripped(row: TimedPose, opening: float, least: float) -> tuple[float, float, Wanted]:
@@ -104,6 +106,6 @@ def _gripped(row: TimedPose, opening: float, least: float) -> tuple[float, float
     if not np.isnan(row.normal):
         return max(opening, row.width), np.nan, wanted  # also if the width is nan
     if row.width <= least:
-        text = f"a width of {row.width:.4g} mm is less than the gels' thickness leaves, {least:.4g} mm: the fingers stay"
+        text = f"a width of {row.width:.4g} mm is less than the gels' thickness leaves, {least:.4g} mm: not closed"
         return np.nan, np.nan, wanted._replace(note=text)
     return row.width, np.nan, wanted

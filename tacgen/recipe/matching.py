@@ -28,7 +28,7 @@ def asked(rows: Sequence[TimedPose], move: Replay) -> "Array":
         bodies = [row.sensor for row in rows if row.sensor is not None]
         outward = (np.array(bodies) @ mount if bodies else mount)[..., :3, 2]
         found = -(np.array([row.force or (math.nan,) * 3 for row in rows]) * outward).sum(1)
-    return np.maximum(_medians(found, move.filter_rows or USUAL_FILTER_ROWS), 0.0)  # nan stays
+    return np.asarray(np.maximum(_medians(found, move.filter_rows or USUAL_FILTER_ROWS), 0.0))  # nan stays
 
 
 def _medians(values: "Array", rows: int) -> "Array":
@@ -43,7 +43,8 @@ def _medians(values: "Array", rows: int) -> "Array":
 def lacks(rows: Sequence[TimedPose], move: Replay) -> str | None:
     """Why a table's rows have nothing to match, in words; None: they have."""
     if move.match == "force" and all(math.isnan(row.normal) for row in rows):
-        return f"needs forces, and {move.file} has none in force_x_n, force_y_n, force_z_n: add them, or take match: pose"
+        columns = ", ".join(f"{name}_n" for name in pose_table.FORCE_COLUMNS)
+        return f"needs forces, and {move.file} has none in {columns}: add them, or take match: pose"
     if move.match == "grip" and all(math.isnan(row.normal) and math.isnan(row.width) for row in rows):
         return f"needs forces or widths, and {move.file} has none in grip_n or width_mm: add them, or take match: pose"
     return None

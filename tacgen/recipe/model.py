@@ -269,10 +269,10 @@ class Recipe(Part):
         return sum(segment.frames for segment in self.trajectory)
 
     @property
-    def match(self) -> Literal["force", "grip"] | None:
-        """What of a replayed table is met instead of its poses, if anything is."""
+    def match(self) -> str | None:
+        """What of a replayed table is met instead of its poses, force or grip, if anything is."""
         matched = (step.replay.match for step in self.trajectory if step.replay and step.replay.matched)
-        return next(matched, None)  # type: ignore[return-value]  # pose is not matched
+        return next(matched, None)
 
     @property
     def files(self) -> tuple[KeyPath, ...]:

@@ -28,7 +28,7 @@ Array = np.ndarray
 @dataclass(frozen=True)
 class Path:
     """Poses (N, 4, 4) at every frame; rotation vectors (N, 3) [rad] from each pose to the next, which may exceed half a
-    turn; segment (N,) of each frame; `forced` frames; what a table wants of frames; and the pose (4, 4) before the first
+    turn; segment (N,) of each frame; `forced` frames; those that `match` a table; and the pose (4, 4) before the first
     frame, clear of the gel."""
 
     start: Array

@@ -135,8 +135,8 @@ class Replay(Part):
 
     With `match: force` the object is moved along the sensor's z until the normal force is that of the row (force_x_n,
     ...: on the gel, in the table's frame). With `match: grip` the rows are the poses of a grasp's gripper, and each
-    finger presses with grip_n or, where that is empty, the faces are width_mm apart; object_x_mm, ..., object_qw, ... is
-    the object's pose.
+    finger presses with grip_n or, where that is empty, the faces are width_mm apart; object_x_mm, ..., object_qw, ...
+    are the object's pose.
     """
 
     file: FilePath
