@@ -15,7 +15,7 @@ def line(index: int, note: str) -> str:
 
 
 def of(bundle: Bundle) -> list[str]:
-    """What the notes say of each stored frame, "" where it is as asked."""
+    """Why each stored frame (N) is not as asked, "" where it is."""
     found = [""] * bundle.frames
     for note in json.loads(bundle.attrs.get("notes", "[]")):
         if (said := FRAME_NOTE.fullmatch(note)) and 0 < int(said[1]) <= len(found):

@@ -50,7 +50,7 @@ class GraspScene:
 
     @property
     def match(self) -> Match | None:
-        """What a table wants of the frames, which both fingers have."""
+        """The frames that are to match a table, which both fingers have."""
         return self.fingers[0].match
 
     @property

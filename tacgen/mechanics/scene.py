@@ -51,7 +51,7 @@ class Forced:
 
 
 class Wanted(NamedTuple):
-    """What a table wants of a frame whose force is matched."""
+    """A row of a table whose force is to be matched."""
 
     pose: Array | None  # (4, 4) of the object in the table, None: not known
     force: float = np.nan  # normal force; in a grasp of each finger [N]
@@ -60,8 +60,10 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True)
 class Match:
-    """What a table wants of frames. frames (N,): whether it wants anything; poses (N, 4, 4): of the object in the
-    sensor's frame, in a grasp in the world, nan where not known; force (N,) [N], nan likewise; notes: see Wanted.
+    """Rows of a table whose forces are to be matched.
+
+    frames (N,): whether a frame has one; poses (N, 4, 4): of the object in the sensor's frame, in a grasp in the world,
+    nan where not known; force (N,) [N], nan where not known; notes: see Wanted.
     """
 
     frames: Array
@@ -71,7 +73,7 @@ class Match:
 
     @classmethod
     def of(cls, wanted: Sequence[Wanted | None]) -> "Match | None":
-        """What is wanted of each frame; None: nothing of any."""
+        """The rows of all frames; None: there is none."""
         if all(each is None for each in wanted):
             return None
         every = [each or Wanted(None) for each in wanted]
@@ -80,7 +82,7 @@ class Match:
         return cls(np.array([each is not None for each in wanted]), poses, force, notes)
 
     def __getitem__(self, index: int) -> Wanted | None:
-        """Of one frame."""
+        """The row of a frame, None where there is none."""
         return Wanted(self.poses[index], self.force[index], self.notes[index]) if self.frames[index] else None
 
 

@@ -79,7 +79,7 @@ def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> tuple[list[Is
 
 
 def _placed(recipe: Recipe, grasp: Grasp) -> list[Issue]:
-    """What has no effect on an object whose first pose is in a table, or is not known of it."""
+    """Keys without effect on an object whose first pose is in a table, and what is not known of it."""
     given = {"height_mm": None, "y_mm": 0.0, "yaw_deg": 0.0}
     text = "has no effect: the table's first row says where the object is: leave it out, or those columns"
     wrong = [Issue(("grasp", key), text) for key, usual in given.items() if getattr(grasp, key) != usual]

@@ -270,7 +270,7 @@ class Recipe(Part):
 
     @property
     def match(self) -> str | None:
-        """What of a replayed table is met instead of its poses, force or grip, if anything is."""
+        """If a replayed table is met by other things than its poses: force or grip."""
         matched = (step.replay.match for step in self.trajectory if step.replay and step.replay.matched)
         return next(matched, None)
 
