@@ -150,7 +150,7 @@ class Frame:
         if self.last.grip == 0 and not np.array_equal(self.gripper, self.before):  # it stays, or lies on the table
             mode, stood, carried = Mode.standing, True, np.linalg.inv(self.gripper) @ self.before @ self.last.pose
         lowest = table if mode == Mode.standing else min(table, self.grasp.fall)
-        if mode == Mode.held or (mode == Mode.standing and lowest > 0):
+        if (mode == Mode.held and table >= 0) or (mode == Mode.standing and lowest > 0):
             trial = self._newton(self._trial(carried, width), Mode.held, lowest)
             if trial is not None:
                 return trial, Mode.held
