@@ -11,7 +11,6 @@ from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
-from tacgen.mechanics.frames import UNIT_RISE
 from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.recipe import indenters, quality_by_error, trajectory
 from tacgen.recipe.checks import timed
@@ -37,8 +36,9 @@ def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh) -> tuple[float, float]:
         return np.inf, np.inf
     poses = [row_.pose for number, step in enumerate(steps) if step.replay for row_ in row.replayed(number)]
     if row.recipe.match == "force":  # heights may be off by any amount: with those at which the face is touched
-        lows = [-(solid.vertices @ pose[2, :3]).min() for pose in poses]
-        poses += [pose + (low - pose[2, 3]) * UNIT_RISE for pose, low in zip(poses, lows, strict=True)]
+        touching = np.array(poses)
+        touching[:, 2, 3] = -(touching[:, 2, :3] @ solid.vertices.T).min(axis=1)
+        poses += [*touching]
     leans = any(np.hypot(*pose[2, :2]) > 2e-9 or pose[2, 2] < 0 for pose in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
     rise = gel.thickness_mm + 1.0  # [mm] largest depth, and gel bulging beside it
