@@ -79,6 +79,7 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Issue]:
         known = not isinstance(step.move, Timed) or step.move.seconds(1.0) is not None
         paced = isinstance(step.move, Paced) and step.move.speed_mm_s is not None
         forced = forced or getattr(step.move, "force_n", None) is not None
+        forced = forced or (isinstance(step.move, Replay) and step.move.matched)
         if not count:
             if isinstance(step.move, Timed) and known:
                 text = "has no effect without dynamics or a viscoelastic gel: leave it out, or add one of them"

@@ -32,7 +32,13 @@ def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh) -> tuple[float, float]:
     """Region of the indenter that the gel can reach: distance from its z axis, height above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
+    if row.recipe.match == "grip":  # the table's poses are the gripper's
+        return np.inf, np.inf
     poses = [row_.pose for number, step in enumerate(steps) if step.replay for row_ in row.replayed(number)]
+    if row.recipe.match == "force":  # heights may be off by any amount: with those at which the face is touched
+        touching = np.array(poses)
+        touching[:, 2, 3] = -(touching[:, 2, :3] @ solid.vertices.T).min(axis=1)
+        poses += [*touching]
     leans = any(np.hypot(*pose[2, :2]) > 2e-9 or pose[2, 2] < 0 for pose in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
     rise = gel.thickness_mm + 1.0  # [mm] largest depth, and gel bulging beside it
@@ -100,7 +106,7 @@ def _scene(row: Row) -> Scene:
     forced = path.forced
     if forced is not None and row.pair is not None:
         forced = replace(forced, tol=MATCHED_FORCE_TOL)
-    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns)
+    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match)
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 

@@ -18,7 +18,7 @@ from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import Failure
 from tacgen.mechanics.frames import Task
 from tacgen.mechanics.load_stepping import at_once, to_pose
-from tacgen.mechanics.scene import Forced, Scene
+from tacgen.mechanics.scene import Forced, Match, Scene
 from tacgen.tensor_engine import engine, pool
 from tacgen.tensor_engine.engine import Solved
 from tensor_engine.batches import alone, batch, path, problem, small, solve
@@ -154,3 +154,19 @@ def test_tighter_tolerances_are_left_to_the_cpu_engine() -> None:
     made = forced(small(BALL, path((0, 0, -0.2))), [0.3], tol=1e-15)
     (solved,) = solve(batch([made]), [made])
     assert solved == Solved([], "forces need smaller tolerances than the batch has")
+
+
+def test_a_table_is_met_as_by_the_cpu_engine_with_the_nearest_force_where_none_is_found() -> None:
+    """The second row asks for more than the depth allows; the third goes on from what was found instead."""
+    poses, force = path((0, 0, -0.1), (0, 0, -1.5), (0.2, 0, 0.4)), np.array([0.3, 50.0, 0.4])
+    made = forced(small(BALL, poses, friction=0.5), force.tolist(), below=np.full(3, 2.0))
+    assert made.forced is not None
+    low = replace(made.forced, floor=np.full(3, -0.6))
+    made = replace(made, forced=low, match=Match(np.ones(3, bool), poses, force, ("", "", "")))
+    (solved,) = solve(batch([made]), [made])
+    assert solved.why is None
+    all_same([made], [solved], 1e-8)
+    one = alone(made, DEFAULT_OPTIONS)
+    assert [state.note for state in solved.states] == [state.note for state in one]
+    assert "80% of the gel's thickness gives" in solved.states[1].note
+    assert [normal_force(solved.states[k]) for k in (0, 2)] == pytest.approx([0.3, 0.4], rel=DEFAULT_OPTIONS.force_tol)
