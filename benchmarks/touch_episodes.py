@@ -142,7 +142,7 @@ def model_text() -> str:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordedGrasp:
     """The n rows of an episode: time (n,) [s], states of the model, commands (n, 6), forces of the object on both pads
     (n, 6) [N] in the world, pictures (n, PICTURE, PICTURE, 3)."""
 
@@ -159,7 +159,7 @@ class Recording:
         return f"put the {self.kind.name} into the other stand"
 
 
-def recorded(model: Any, number: int, seed: int, picture: Callable[[Any], Array]) -> Recording:
+def recorded(model: Any, number: int, seed: int, picture: Callable[[Any], Array]) -> RecordedGrasp:
     """An episode of the object number % 5; its grip, and where it is grasped, are drawn by seed and number."""
     import mujoco
 
@@ -178,7 +178,7 @@ def recorded(model: Any, number: int, seed: int, picture: Callable[[Any], Array]
             drawn.append(picture(data))
         mujoco.mj_step(model, data)
     qpos, qvel, commands, forces = (np.array(part) for part in zip(*rows, strict=True))
-    return Recording(kind, np.arange(len(rows)) / FPS, qpos, qvel, commands, forces, np.array(drawn))
+    return RecordedGrasp(kind, np.arange(len(rows)) / FPS, qpos, qvel, commands, forces, np.array(drawn))
 
 
 def _command(time: float, y: float, low: float, grip: float) -> tuple[float, ...]:
@@ -226,7 +226,7 @@ def _vector(names: list[str]) -> dict[str, Any]:
     return {"dtype": "float32", "shape": (len(names),), "names": names}
 
 
-def write_lerobot(recordings: Iterator[Recording], model: Any, folder: Path) -> Iterator[Recording]:
+def write_lerobot(recordings: Iterator[RecordedGrasp], model: Any, folder: Path) -> Iterator[RecordedGrasp]:
     """Write a LeRobot data set by its own code, handing on each recording."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -255,7 +255,7 @@ def write_lerobot(recordings: Iterator[Recording], model: Any, folder: Path) -> 
     made.finalize()
 
 
-def write_robomimic(recordings: list[Recording], text: str, path: Path) -> None:
+def write_robomimic(recordings: list[RecordedGrasp], path: Path) -> None:
     """Write states, actions and pictures as robosuite's collector and robomimic's converter do."""
     import h5py
 
@@ -265,7 +265,7 @@ def write_robomimic(recordings: list[Recording], text: str, path: Path) -> None:
         data.attrs["env_args"], data.attrs["total"] = json.dumps(about), sum(len(one.time) for one in recordings)
         for number, one in enumerate(recordings):
             demo = data.create_group(f"demo_{number}")
-            demo.attrs["model_file"], demo.attrs["num_samples"] = text, len(one.time)
+            demo.attrs["model_file"], demo.attrs["num_samples"] = model_text(), len(one.time)
             demo["states"] = np.column_stack([one.time, one.qpos, one.qvel])
             demo["actions"] = one.commands
             demo["obs/side_image"] = one.pictures
@@ -274,23 +274,27 @@ def write_robomimic(recordings: list[Recording], text: str, path: Path) -> None:
         file["mask/train"], file["mask/valid"] = names[: -(len(names) // 5) or None], names[len(names) * 4 // 5 :]
 
 
-def write(folder: Path, episodes: int, seed: int) -> None:
-    """Make all three in a folder that is not there yet, or is empty."""
-    os.environ.setdefault("MUJOCO_GL", "egl")  # needs no screen
+def prepared(folder: Path) -> Any:
+    """The compiled model, written into a folder with its meshes."""
     import mujoco
 
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("key", "gear"):
         shutil.copyfile(OBJECTS_FOLDER / name / f"{name}.stl", folder / f"{name}.stl")
     (folder / "model.xml").write_text(model_text())
-    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
-    picture = camera(model)
+    return mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+
+
+def write(folder: Path, episodes: int, seed: int) -> None:
+    """Make all three in a folder that is not there yet, or is empty."""
+    os.environ.setdefault("MUJOCO_GL", "egl")  # needs no screen
+    model = prepared(folder)
+    picture, done = camera(model), []
     each = (recorded(model, number, seed, picture) for number in range(episodes))
-    done = []
     for one in write_lerobot(each, model, folder / "lerobot"):
         done.append(one)
         print(f"{len(done)} of {episodes}: {one.task}, {len(one.time)} rows", file=sys.stderr)
-    write_robomimic(done, model_text(), folder / "robomimic.hdf5")
+    write_robomimic(done, folder / "robomimic.hdf5")
 
 
 if __name__ == "__main__":
