@@ -97,14 +97,15 @@ class Kinematics:
 
     @cached_property
     def bodies(self) -> list[str]:
-        """Names of all bodies, parents first, without the world."""
-        return [self.model.body(k).name for k in range(1, self.model.nbody)]
+        """Names of the bodies that have one, parents first, without the world."""
+        return [name for k in range(1, self.model.nbody) if (name := self.model.body(k).name)]
 
     @cached_property
     def free(self) -> list[str]:
-        """Names of the bodies with a free joint: what may be an object."""
+        """Names of the bodies with a free joint and no other joint below: what may be an object."""
         m = self.model
-        return [m.body(m.jnt_bodyid[j]).name for j in range(m.njnt) if m.jnt_type[j] == FREE]
+        roots = [int(m.jnt_bodyid[j]) for j in range(m.njnt) if m.jnt_type[j] == FREE]
+        return [m.body(k).name for k in roots if (m.body_weldid[m.body_rootid == k] == k).all()]
 
     @cached_property
     def joints(self) -> dict[str, tuple[int, tuple[str, ...], bool]]:
@@ -134,7 +135,12 @@ class Kinematics:
         return [self.model.actuator(k).name for k in range(self.model.nu)]
 
     def poses(self, qpos: Array) -> dict[str, Array]:
-        """Poses (n, 4, 4) [mm] in the world of every body, for joint states (n, nq)."""
+        """Poses (n, 4, 4) [mm] in the world of every named body, for joint states (n, nq)."""
+        found = self._world(qpos)
+        return {name: found[self.model.body(name).id] for name in self.bodies}
+
+    def _world(self, qpos: Array) -> Array:
+        """Poses (bodies, n, 4, 4) [mm] of all bodies for joint states (n, nq)."""
         import mujoco
 
         data = mujoco.MjData(self.model)
@@ -144,7 +150,7 @@ class Kinematics:
             mujoco.mj_kinematics(self.model, data)
             found[:, row, :3, :3] = data.xmat.reshape(-1, 3, 3)
             found[:, row, :3, 3] = data.xpos * M_TO_MM
-        return {name: found[k] for k, name in enumerate(self.bodies, 1)}
+        return found
 
     def speeds(self, states: "States") -> Array:
         """Speeds (n, nv) of the joints: central differences of their positions."""
@@ -185,8 +191,8 @@ class Kinematics:
                 for touched, thing, sign in ((one, other, -1), (other, one, 1)):
                     if thing in held:
                         found.setdefault((touched, held[thing]), np.zeros((count, 3)))[row] += sign * force
-        none, moving = np.zeros((count, 3)), [k for k in range(1, m.nbody) if groups[k]]
-        named = [(m.body(k).name, int(groups[k])) for k in moving]
+        none = np.zeros((count, 3))
+        named = [(name, int(groups[m.body(name).id])) for name in self.bodies if groups[m.body(name).id]]
         return {
             (name, thing): found.get((group, thing), none)
             for thing in things for name, group in named if group != groups[m.body(thing).id]
@@ -222,8 +228,7 @@ class Kinematics:
 
     def _frames(self, body: int) -> Array:
         """Poses (bodies, 4, 4) [mm] of all bodies in the frame of one, in the model's first state."""
-        every = self.poses(self.model.qpos0[None])
-        world = np.array([np.eye(4), *(every[name][0] for name in self.bodies)])
+        world = self._world(self.model.qpos0[None])[:, 0]
         return np.asarray(np.linalg.inv(world[body]) @ world)
 
     def _solids(self, bodies: Sequence[int], frames: Array) -> list[RigidPart]:

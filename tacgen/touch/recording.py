@@ -60,7 +60,11 @@ class Recording:
     @cached_property
     def things(self) -> Mapping[str, Thing]:
         """Objects by the names of their bodies: those asked for, else every body with a free joint in the model."""
-        return self._things(self.rows(0).model)
+        return self._things(self._first_model)
+
+    @cached_property
+    def _first_model(self) -> Kinematics | None:
+        return self.rows(0).model
 
     def episodes(self) -> Iterator[Episode]:
         """In order. Raises UserError, one line, where an episode cannot be read or is not plausible."""
@@ -112,8 +116,7 @@ class Recording:
 
     def _refuse_other_things(self, model: Kinematics | None, where: str) -> None:
         """Episodes may carry models of their own: what is touched must be as in the first."""
-        first = self.rows(0).model if model is not None else None
-        if model is None or model is first:
+        if model is None or model is self._first_model:
             return
         for name, thing in self._things(model).items():
             mine, its = self.things[name].surface, thing.surface

@@ -6,8 +6,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-
+import trimesh
 from helpers.needs import needs
+
 from tacgen.base.errors import LeftOut, UserError
 from tacgen.touch.sources import open_source
 
@@ -171,7 +172,6 @@ def test_an_object_needs_a_surface_in_mm(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no objects: name them"):
         _ = open_source(folder).things
     metres = tmp_path / "small.stl"
-    trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box([0.02, 0.03, 0.04]).export(metres)
     with pytest.raises(UserError, match=r"small.stl is 0.04 mm long: its lengths are probably metres"):
         _ = open_source(folder, objects=[f"cup={metres}"]).things

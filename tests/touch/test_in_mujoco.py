@@ -5,8 +5,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-
 from helpers.needs import needs
+
 from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import indenters
@@ -107,6 +107,18 @@ def test_mass_and_centre_are_those_of_all_parts(tmp_path: Path) -> None:
     thing = model_of(tmp_path, f'<geom type="box" size="0.01 0.01 0.01" mass="0.3"/>{inner}').thing("thing")
     assert thing.mass == pytest.approx(0.4)
     np.testing.assert_allclose(thing.centre, [0, 0, 10], atol=1e-9)
+
+
+def test_a_robot_on_a_free_base_is_no_object_and_bodies_need_no_names(tmp_path: Path) -> None:
+    ball = '<geom size="0.01" mass="0.1"/>'
+    leg = f'<body>{ball}<body name="foot" pos="0 0 0.1">{ball}<joint/></body></body>'
+    text = f'<body name="dog">{ball}<freejoint/>{leg}</body><body name="cup" pos="1 0 0">{ball}<freejoint/></body>'
+    (tmp_path / "dog.xml").write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    known = kinematics.opened(tmp_path / "dog.xml")
+    assert known.free == ["cup"]
+    poses = known.poses(known.model.qpos0[None])
+    assert list(poses) == ["dog", "foot", "cup"]
+    np.testing.assert_allclose([poses["foot"][0, 2, 3], poses["cup"][0, 0, 3]], [100, 1000])
 
 
 def test_links_of_a_urdf_keep_their_names_and_get_poses(tmp_path: Path) -> None:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.needs import needs
 
 from benchmarks import touch_episodes
-from helpers.needs import needs
 from tacgen.touch.sources import open_source
 
 Recorded = tuple[Path, list[touch_episodes.RecordedGrasp]]
@@ -30,7 +30,9 @@ def test_poses_and_forces_are_those_of_the_simulation(recorded: Recorded) -> Non
     assert (source.fps, list(source.things)) == (30.0, ["box", "key", "gear", "bottle", "nut"])
     for number, thing in enumerate(("box", "key")):
         episode, grasp = source.episode(number), made[number]
-        np.testing.assert_allclose(episode.bodies[thing][:, :3, 3], 1000 * grasp.qpos[:, 7 * number :][:, :3], atol=1e-6)
+        np.testing.assert_allclose(
+            episode.bodies[thing][:, :3, 3], 1000 * grasp.qpos[:, 7 * number :][:, :3], atol=1e-6
+        )
         pads = np.hstack([episode.forces[pad, thing] for pad in touch_episodes.PADS])
         np.testing.assert_allclose(pads, grasp.forces, rtol=0, atol=0.01)
         assert not np.any([episode.forces[pad, "nut"] for pad in touch_episodes.PADS])
