@@ -121,7 +121,9 @@ class Recording:
         for name, thing in self._things(model).items():
             mine, its = self.things[name].surface, thing.surface
             if mine.indenter != its.indenter or not np.allclose(mine.pose, its.pose):
-                raise UserError(f"{where}: its {name} is another than that of the first episode: convert it by itself")
+                raise UserError(
+                    f"{where}: its {name} is of another size or shape than in the first episode: give such episodes in files of their own"
+                )
 
 
 def _states(rows: RecordedRows, model: Kinematics, columns: ColumnNames, bodies: Mapping[str, Array]) -> States:

@@ -154,5 +154,6 @@ def _pose(values: Array) -> Array:
 
 def _installed() -> list[Path]:
     """Folders of the packages whose models' meshes episodes name, where they are installed."""
-    found = (importlib.util.find_spec(name) for name in ASSET_PACKAGES)
-    return [Path(folder) for spec in found if spec is not None for folder in spec.submodule_search_locations or ()]
+    found = [(name, importlib.util.find_spec(name)) for name in ASSET_PACKAGES]
+    folders = [(Path(at), name) for name, spec in found if spec for at in spec.submodule_search_locations or ()]
+    return [each for folder, name in folders for each in (folder, folder / name)]  # LIBERO has a package in a package

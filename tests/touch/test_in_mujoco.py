@@ -43,7 +43,7 @@ def model_of(tmp_path: Path, parts: str) -> kinematics.Kinematics:
     return kinematics.opened(tmp_path / "model.xml")
 
 
-# largest distance of a surface from MuJoCo's geoms [mm]: a rod's edges are rounded, what is round in a mesh is a polygon
+# largest distance of a surface from MuJoCo's geoms [mm]: edges of a rod are rounded, circles of a mesh are polygons
 ROUNDED, POLYGON = 0.2 * (np.sqrt(2) - 1), 0.02
 FARTHEST = {"ball": 1e-6, "rod": ROUNDED, "pill": 1e-6, "block": 1e-3, "egg": POLYGON, "two": POLYGON}
 
@@ -98,7 +98,7 @@ def test_what_collides_is_the_surface_and_what_is_seen_only_where_nothing_collid
     bare = model_of(tmp_path, '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>')
     with pytest.raises(UserError, match="object thing: has no geometry: give --object thing=MESH"):
         bare.thing("thing")
-    with pytest.raises(UserError, match="object cup: .* has no such body; there are: thing"):
+    with pytest.raises(UserError, match=r"object cup: .* has no such body; there are: thing"):
         bare.thing("cup")
 
 
@@ -213,6 +213,31 @@ def test_joints_without_columns_are_told_by_name(tmp_path: Path) -> None:
     assert source.episode(0).bodies["plate"][0, 2, 3] == pytest.approx(30.0)
     with pytest.raises(UserError, match="has no joint up; there are: block, down"):
         open_source(tmp_path / "two", model=tmp_path / "press.xml", columns={"joints": {"up": "action"}}).episode(0)
+
+
+def test_maniskills_robot_stands_at_its_base_and_moves_by_its_joints(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body name="arm"><joint axis="0 0 1"/><geom size="0.01" pos="0.2 0 0"/>'
+        '<body name="tip" pos="0.2 0 0"/></body></worldbody></mujoco>'
+    )
+    angle = np.linspace(0, np.pi / 2, 10)
+    base, still = np.tile([1.0, 0, 0, 0, 0, 0, 1], (10, 1)), np.zeros((10, 6))  # half a turn about z
+    with h5py.File(tmp_path / "trajectory.h5", "w") as file:
+        states = file.create_group("traj_0/env_states")
+        states["articulations/arm"] = np.hstack([base, still, angle[:, None], np.zeros((10, 1))])
+        states["articulations/cabinet"] = np.hstack([base, still, np.zeros((10, 6))])
+        states["actors/cup"] = np.hstack([base, still])
+    cup = "cup={shape: sphere, radius_mm: 20}"
+    episode = open_source(tmp_path / "trajectory.h5", model=tmp_path / "arm.xml", objects=[cup]).episode(0)
+    np.testing.assert_allclose(episode.bodies["tip"][[0, -1], :3, 3], [[800, 0, 0], [1000, -200, 0]], atol=1e-9)
+
+
+def test_episodes_whose_models_differ_in_what_is_touched_are_refused(tmp_path: Path) -> None:
+    path = recorded(tmp_path, ("demo_0", "demo_1"))
+    with h5py.File(path, "a") as file:
+        file["data/demo_1"].attrs["model_file"] = PRESS.replace('size="0.01 0.01 0.01"', 'size="0.01 0.01 0.011"')
+    with pytest.raises(UserError, match=r"demo_1: its block is of another size or shape than in the first episode"):
+        open_source(path).episode(1)
 
 
 def test_a_part_of_mujoco_that_no_recipe_has_is_a_closed_mesh() -> None:

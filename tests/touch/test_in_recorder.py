@@ -54,7 +54,7 @@ def test_a_held_object_is_lifted_turned_and_put_into_the_other_stand(recorded: R
 
 def test_lerobots_own_writer_and_our_reader_agree(recorded: Recorded, tmp_path: Path) -> None:
     needs("lerobot")
-    folder, made = recorded
+    _, made = recorded
     model = touch_episodes.prepared(tmp_path)
     list(touch_episodes.write_lerobot(iter(made), model, tmp_path / "lerobot"))
     columns = {"grip": "action[left_finger]", "forces": {"left_pad/key": "observation.pad_force[0:3]"}}
