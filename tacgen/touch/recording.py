@@ -122,7 +122,8 @@ class Recording:
             mine, its = self.things[name].surface, thing.surface
             if mine.indenter != its.indenter or not np.allclose(mine.pose, its.pose):
                 raise UserError(
-                    f"{where}: its {name} is of another size or shape than in the first episode: give such episodes in files of their own"
+                    f"{where}: its {name} is of another size or shape than in the first episode:"
+                    " give such episodes in files of their own"
                 )
 
 
