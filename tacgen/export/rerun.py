@@ -95,9 +95,9 @@ def _vectors(record: Any, bundle: Bundle) -> None:
         labels["wrench"] = [*labels["force"], *labels["torque"]]
     if EVENT_MODE_PATH in bundle:
         series["contact_mode"], labels["contact_mode"] = bundle[EVENT_MODE_PATH][:, None].astype(float), ["mode"]
-    time = bundle["/frames/time"] if "/frames/time" in bundle else None
+    timed = "/frames/time" in bundle
     for name, values in series.items():
-        curves(record, name, values, labels[name], time)
+        curves(record, name, values, labels[name], bundle["/frames/time"] if timed else None)
 
 
 def curves(record: Any, name: str, values: np.ndarray, labels: Sequence[str], time: np.ndarray | None) -> None:

@@ -29,7 +29,7 @@ def write(bundle: Bundle, out: Path) -> None:
     film(bundle, writer, out)
 
 
-def writer_for(out: Path, fps: float) -> object:
+def writer_for(out: Path, fps: int) -> object:
     """matplotlib's writer for the suffix of `out`. Raises UserError: another kind of file, or no ffmpeg."""
     from matplotlib import animation
 

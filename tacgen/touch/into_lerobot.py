@@ -32,7 +32,7 @@ from tacgen.base.output_file import add
 from tacgen.bundle import whole_folder
 from tacgen.bundle.image_file import encoded
 from tacgen.export.lerobot import DATA_PATH, FILES_PER_FOLDER, PARQUET_FILE_BYTES, TACTILE_PREFIX, statistics
-from tacgen.touch.columns import COMPONENTS, by_episode, columns, distinct, left_out
+from tacgen.touch.columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 from tacgen.touch.episode import Array, Episode, Source, Touch
 
 FOLDER_KIND = "touch for LeRobot"  # of `whole_folder`
@@ -63,12 +63,10 @@ def write(
         raise UserError(f"{out}: the copy must be outside of the data set {source.path}")
     if not overwrite and out.is_dir() and any(out.iterdir()):
         raise UserError(f"{out}: is there already; --overwrite replaces it")
-    texts = {
-        kind: distinct(text for fingers in touches for touch in fingers for text in of(touch))
-        for kind, of in (("object", lambda touch: touch.touched), ("note", lambda touch: touch.note))
-    }
-    blank = [left_out(touch, 1) for touch in touches[0]]
-    texts["note"] = distinct([*texts["note"], *(blank[0].note if len(felt) < info["total_episodes"] else [])])
+    every = [touch for fingers in touches for touch in fingers]
+    texts = {"object": distinct(text for touch in every for text in touch.touched)}
+    unfelt = [LEFT_OUT_NOTE] if len(felt) < info["total_episodes"] else []
+    texts["note"] = distinct([*(text for touch in every for text in touch.note), *unfelt])
     new = {name: value for touch in touches[0] for name, value in _features(touch, texts).items()}
     if there := sorted(new.keys() & info["features"].keys()):
         raise UserError(f"{source.path}: has {there[0]} already")
@@ -115,11 +113,9 @@ def _template() -> str:
 def _features(touch: Touch, texts: dict[str, list[str]]) -> dict[str, dict[str, Any]]:
     """LeRobot's description of each new column of a finger."""
     image = {"dtype": "image", "shape": list(touch.image(0).shape), "names": ["height", "width", "channels"]}
-    features = {"image": image}
+    features: dict[str, dict[str, Any]] = {"image": image}
     for name, values in columns(touch).items():
-        features[name] = {
-            "dtype": values.dtype.name, "shape": [values.shape[1]], "names": COMPONENTS.get(name),
-        }  # fmt: skip
+        features[name] = {"dtype": values.dtype.name, "shape": [values.shape[1]], "names": COMPONENTS.get(name)}
     for name, known in texts.items():
         features[name] = {"dtype": "int64", "shape": [1], "names": None, "info": {"texts": known}}
     return {f"{TACTILE_PREFIX}{touch.finger}.{name}": feature for name, feature in features.items()}

@@ -1,9 +1,17 @@
 """Touch into a copy of an HDF5 file of demonstrations, as robomimic, LIBERO and ManiSkill keep them.
 
-Each demonstration's group `obs` gets for each finger `tactile_<finger>_image` (n, h, w, 3), `_force` (n, 3) [N], `_wrench`
-(n, 6) [N, N mm], `_markers` (n, 2 m) [px], `_expected_error`, `_correction` [mm], `_engine_force` [N], `_contact`,
-`_slip` and `_lifted` (n, 1), and the texts `_object` and `_note` (n,). Where there is a group `next_obs`, it gets the
-same a row later, the last row twice. All else is as it was.
+Each demonstration's group `obs` gets for each finger, with the prefix `tactile_<finger>_`:
+
+    image                   (n, h, w, 3) the sensor's picture
+    force, wrench           (n, 3) [N], and (n, 6) with the torque about the sensor's origin [N mm]
+    markers                 (n, 2 m) x and y in turn [px]
+    expected_error          (n, 1) of the force, over the force [-]
+    correction              (n, 1) by which matching moved the object along the sensor's z [mm]
+    engine_force            (n, 1) normal force that was asked for, or that the engine reported [N]
+    contact, slip, lifted   (n, 1) booleans
+    object, note            (n,) texts
+
+Where there is a group `next_obs`, it gets the same a row later, the last row twice. All else is as it was.
 """
 
 import shutil
@@ -15,7 +23,7 @@ import numpy as np
 
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
-from tacgen.bundle.hdf5_file import item_at, open_file, written_file
+from tacgen.bundle.hdf5_file import item_at, open_file, text_type, written_file
 from tacgen.touch.columns import by_episode, columns
 from tacgen.touch.episode import Array, Episode, Source, Touch
 
@@ -91,10 +99,4 @@ def _put(path: Path, group: Any, touch: Touch, rows: Array) -> None:
         group.create_dataset(prefix + name, data=values[rows])
     for name, texts in (("object", touch.touched), ("note", touch.note)):
         encoded = np.array([text.encode() for text in texts], object)
-        group.create_dataset(prefix + name, data=encoded[rows], dtype=_text())
-
-
-def _text() -> Any:
-    import h5py
-
-    return h5py.string_dtype()
+        group.create_dataset(prefix + name, data=encoded[rows], dtype=text_type())

@@ -1,4 +1,4 @@
-"""Two recorded episodes of 20 rows, as a LeRobot data set and as HDF5 made by hand, and what two fingers feel in them."""
+"""Two recorded episodes of 20 rows, as a LeRobot data set and an HDF5 file made by hand, and what two fingers feel."""
 
 import hashlib
 import json

@@ -148,7 +148,7 @@ def test_the_same_input_gives_the_same_bytes_and_only_its_like_is_replaced(sourc
     out = tmp_path / "out"
     written(source, out)
     first = digests(out)
-    with pytest.raises(UserError, match="out: is there already; --overwrite replaces it$"):
+    with pytest.raises(UserError, match=r"out: is there already; --overwrite replaces it$"):
         written(source, out)
     written(source, out, overwrite=True)
     assert digests(out) == first

@@ -97,7 +97,7 @@ def test_a_film_shows_both_fingers_in_every_row(kind: str, tmp_path: Path) -> No
     source = recorded(tmp_path / "given")
     (made,) = film.write(source, source.held[:1], both(1), tmp_path / f"film.{kind}", overwrite=False)
     with Image.open(made) as image:
-        assert image.n_frames == ROWS
+        assert getattr(image, "n_frames", 1) == ROWS
         image.seek(3)
         still = np.asarray(image.convert("RGB"), int)
         image.seek(10)
