@@ -11,8 +11,9 @@ For each finger, with the prefix that LeRobot plans for touch, `observation.tact
     contact, slip, lifted   booleans
     object, note            numbers of the texts in `info` of the feature in meta/info.json; 0: none
 
-Statistics are made as LeRobot makes them, over the rows whose values are known; booleans and numbers of texts have
-none, since LeRobot's policies normalise what has statistics, and cannot do it with booleans. All other columns, tasks,
+Statistics are made as LeRobot makes them, over the rows whose values are known; the deviation of pictures is the true
+one (LeRobot 0.4.4 squares pixels in 8 bits). Booleans and numbers of texts have none, since LeRobot's policies
+normalise what has statistics, and cannot do it with booleans. All other columns, tasks,
 splits and files are as they were: videos are hard links where the file system has them, other files copies.
 """
 

@@ -12,7 +12,7 @@ from helpers.touched import IMAGE, ROWS, both, demonstrations, digests, felt, re
 from PIL import Image
 
 from tacgen.base.errors import UserError
-from tacgen.touch import film, into_rerun, into_robomimic
+from tacgen.touch import copies, film, into_rerun, into_robomimic
 
 
 def test_demonstrations_get_touch_and_keep_all_else(tmp_path: Path) -> None:
@@ -118,3 +118,15 @@ def test_a_film_of_several_episodes_needs_a_folder(tmp_path: Path) -> None:
         film.write(source, source.held, both(), tmp_path / "film.webp", overwrite=False)
     with pytest.raises(UserError, match=r"^\.avi: unknown kind of film"):
         film.write(source, source.held[:1], both(1), tmp_path / "film.avi", overwrite=False)
+
+
+def test_the_name_of_the_output_says_what_is_written(tmp_path: Path) -> None:
+    source = recorded(demonstrations(tmp_path / "given.hdf5"), "robomimic")
+    for name in ("out.hdf5", "out.gif"):
+        copies.write(source, source.held[:1], both(1), tmp_path / name, overwrite=False)
+    assert (tmp_path / "out.hdf5").read_bytes()[:4] == b"\x89HDF"
+    assert (tmp_path / "out.gif").read_bytes()[:3] == b"GIF"
+    needs("rerun")
+    copies.write(source, source.held[:1], both(1), tmp_path / "out.rrd", overwrite=False)
+    copies.write(replace(source, kind="umi"), source.held, both(), tmp_path / "folder", overwrite=False)
+    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == ["demo_0.rrd", "demo_1.rrd"]

@@ -63,7 +63,7 @@ def test_its_statistics_are_ours(copy: Path, tmp_path: Path) -> None:
         for kind, value in kinds.items():
             assert ours[kind].shape == value.shape, (name, kind)
             if ("image" in name, kind) == (True, "std"):
-                continue  # LeRobot 0.4.4 squares pixels in 8 bits, which overflows; test_out_lerobot.py has the true one
+                continue  # LeRobot 0.4.4 squares pixels in 8 bits, which overflows; another test has the true one
             if not kind.startswith("q"):  # LeRobot's quantiles are those of a histogram
                 assert ours[kind] == pytest.approx(value, rel=1e-5, abs=1e-6), (name, kind)
             elif "image" in name:
