@@ -11,7 +11,7 @@ from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.report.force_figure import OUR_COLOUR, THEIR_COLOUR
 from tacgen.report.sheet import Page
-from tacgen.touch.columns import by_episode
+from tacgen.touch.label_columns import by_episode
 from tacgen.touch.episode import Array, Episode, Source, Touch
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from tacgen.base.errors import UserError
 from tacgen.export.rerun import SUFFIX, curves, image_of, new_recording
 from tacgen.recipe.indenters import Indenter
 from tacgen.report.field_figure import surface_of
-from tacgen.touch.columns import by_episode
+from tacgen.touch.label_columns import by_episode
 from tacgen.touch.episode import Episode, Source, Thing, Touch
 
 MAX_SHOWN_MM = 150.0  # of shapes without an end

@@ -18,7 +18,7 @@ from PIL import Image
 
 from tacgen.base.errors import UserError
 from tacgen.touch import into_lerobot
-from tacgen.touch.columns import LEFT_OUT_NOTE
+from tacgen.touch.label_columns import LEFT_OUT_NOTE
 
 needs("pyarrow")
 from pyarrow import parquet  # noqa: E402
