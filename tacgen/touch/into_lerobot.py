@@ -33,8 +33,8 @@ from tacgen.base.output_file import add
 from tacgen.bundle import whole_folder
 from tacgen.bundle.image_file import encoded
 from tacgen.export.lerobot import DATA_PATH, FILES_PER_FOLDER, PARQUET_FILE_BYTES, TACTILE_PREFIX, statistics
-from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 from tacgen.touch.episode import Array, Episode, Source, Touch
+from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 
 FOLDER_KIND = "touch for LeRobot"  # of `whole_folder`
 MAX_JSON_BYTES, MAX_TABLE_BYTES = 2**27, 2**36  # largest files that are read [bytes]
