@@ -58,6 +58,10 @@ def write(
     Raises:
         UserError: not such a data set, touch is in it, its rows are not those of the episodes, or `out` is in the way.
     """
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise UserError("touch in a LeRobot data set needs PyArrow: pip install 'tacgen[lerobot]'") from None
     felt, given, info = by_episode(episodes, touches), source.path.resolve(), _info(source.path)
     where = out.resolve()
     if where.is_relative_to(given) or given.is_relative_to(where):
