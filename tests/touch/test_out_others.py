@@ -127,6 +127,14 @@ def test_the_name_of_the_output_says_what_is_written(tmp_path: Path) -> None:
         copies.write(source, source.held[:1], both(1), tmp_path / name, overwrite=False)
     assert (tmp_path / "out.hdf5").read_bytes()[:4] == b"\x89HDF"
     assert (tmp_path / "out.gif").read_bytes()[:3] == b"GIF"
+    for name in ("out.hdf5", "out.gif"):
+        with pytest.raises(UserError, match="is there already; --overwrite replaces it"):
+            copies.refuse(source, 1, tmp_path / name, overwrite=False)
+        copies.refuse(source, 1, tmp_path / name, overwrite=True)
+    with pytest.raises(UserError, match=r"two\.rrd: holds one episode, these are 2: choose one by --episodes"):
+        copies.refuse(source, 2, tmp_path / "two.rrd", overwrite=True)
+    with pytest.raises(UserError, match="the copy must be outside of the data set"):
+        copies.refuse(recorded(tmp_path), 2, tmp_path / "in", overwrite=True)
     needs("rerun")
     copies.write(source, source.held[:1], both(1), tmp_path / "out.rrd", overwrite=False)
     copies.write(replace(source, kind="umi"), source.held, both(), tmp_path / "folder", overwrite=False)
