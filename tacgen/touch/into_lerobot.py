@@ -37,7 +37,7 @@ from tacgen.touch.episode import Array, Episode, Source, Touch
 from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 
 FOLDER_KIND = "touch for LeRobot"  # of `whole_folder`
-MAX_JSON_BYTES, MAX_TABLE_BYTES = 2**27, 2**36  # largest files that are read [bytes]
+MAX_JSON_BYTES, MAX_PARQUET_BYTES = 2**27, 2**36  # largest files that are read [bytes]
 BATCH_ROWS = 256  # rows that are read at once: pictures of a whole file do not fit into memory
 # LeRobot's: pictures of an episode in its statistics, at least and at most, the power of the rows between, and the size
 # from which pictures are thinned out, to about which size [px]
@@ -205,7 +205,7 @@ def _tables(given: Path) -> Iterator[tuple[bool, int, Any]]:
     from pyarrow import parquet
 
     for path in sorted((given / "data").glob("*/*.parquet")):
-        with regular_file.opened(path, MAX_TABLE_BYTES) as file:
+        with regular_file.opened(path, MAX_PARQUET_BYTES) as file:
             held: list[Any] = []
             before, begins = -1, True
             for batch in parquet.ParquetFile(file).iter_batches(BATCH_ROWS):
@@ -314,7 +314,7 @@ def _episodes(given: Path, folder: Path, rows: dict[int, dict[str, Any]]) -> Non
     from pyarrow import parquet
 
     for path in sorted((given / "meta/episodes").glob("*/*.parquet")):
-        with regular_file.opened(path, MAX_TABLE_BYTES) as file:
+        with regular_file.opened(path, MAX_PARQUET_BYTES) as file:
             table = parquet.read_table(file)
         numbers = table.column("episode_index").to_pylist()
         if missing := sorted(set(numbers) - rows.keys()):
