@@ -66,7 +66,7 @@ def touch(
     chosen: Annotated[str, typer.Option("--episodes", metavar="FIRST:LAST", help="Only these, from 0.")] = "",
     bundles: Annotated[
         Path | None,
-        typer.Option(help="Folder for recipes and bundles, from which a run resumes; default: OUT-bundles."),
+        typer.Option(help="Folder for recipes and bundles, where a run resumes; default: OUT-bundles."),
     ] = None,
     workers: Workers = "1",
     engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster; cuda: a GPU.")] = "local",
@@ -89,12 +89,12 @@ def touch(
     part, processes = shard_of(shard), workers_of(workers)
     fingers = _fingers(sensors, mounts or [])
     rates = Rate(rate, tuple(map(_window, windows or [])))
-    asked = scenes.Asked(match, near_mm, rates, friction, quality, tuple(sets or ()))
+    asked = scenes.TouchChoice(match, near_mm, rates, friction, quality, tuple(sets or ()))
     source = sources.open_source(episodes, model, tuple(objects or ()), None)
     only = _range(chosen)
     if dry_run:
-        with TemporaryDirectory() as folder:
-            prepared = scenes.prepare(source, fingers, asked, Path(folder), only)
+        with TemporaryDirectory() as name:
+            prepared = scenes.prepare(source, fingers, asked, Path(name), only)
             warn([*prepared.plan.warnings, *prepared.notes])
             said = plan_text.summary(prepared, source.fps)
             said["cost"] = priced(prepared.plan, processes)

@@ -52,7 +52,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Contacts:
+class AtFinger:
     """The n rows of an episode at one finger.
 
     near: name of the object whose rigid shape touches the gel, or that presses on the finger by the engine; names of
@@ -78,7 +78,7 @@ def body_of(thing: Thing) -> RecordedBody:
 
 def contacts(
     episode: Episode, finger: Finger, things: Mapping[str, tuple[Thing, RecordedBody]], gel: GelBody, near_mm: float
-) -> Contacts:
+) -> AtFinger:
     """The intervals of an episode in which an object comes within `near_mm` of the gel of a finger.
 
     Where two objects touch at once the rows are left out, with a note; so are rows without a pose.
@@ -94,10 +94,10 @@ def contacts(
     logs = [log_of(episode, finger, thing) for thing, _ in here]
     gap = np.full((len(here), n), np.inf)
     for k, ((thing, body), log) in enumerate(zip(here, logs, strict=True)):
-        known = _known(log)
-        for row in np.flatnonzero(~known):
+        there = _known(log)
+        for row in np.flatnonzero(~there):
             note[row] = f"the pose of {finger.body} or of {thing.body} is not recorded"
-        gap[k, known] = distances(body, gel, _relative(log.some(known), finger, body), near_mm)
+        gap[k, there] = distances(body, gel, _relative(log.some(there), finger, body), near_mm)
     pressed = [_normal(log, finger) for log in logs]
     felt = np.array([np.nan_to_num(np.abs(force)) for force in pressed]).reshape(gap.shape) > MIN_CONTACT_FORCE_N
     near = gap <= near_mm + MAX_FACE_POINT_DISTANCE_MM
@@ -121,7 +121,7 @@ def contacts(
     engine = np.full(n, np.nan)
     for force in pressed:
         engine = np.where(np.isnan(force), engine, np.nan_to_num(engine) + force)
-    return Contacts(finger, tuple(found), held, engine, note)
+    return AtFinger(finger, tuple(found), held, engine, note)
 
 
 def recorded(episode: Episode, body: str) -> bool:

@@ -1,4 +1,4 @@
-"""What a finger felt in every row of an episode, from the bundles of its intervals."""
+"""The touch of a finger in every row of an episode, from the bundles of its intervals."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -14,8 +14,8 @@ from tacgen.replay import selection
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.touch import intervals
 from tacgen.touch.episode import Episode, Finger, Thing, Touch
-from tacgen.touch.intervals import Contacts, Interval
-from tacgen.touch.scenes import Prepared
+from tacgen.touch.intervals import AtFinger, Interval
+from tacgen.touch.scenes import TouchScenes
 
 Array = np.ndarray
 SLIPPING_MODES = tuple(CONTACT_MODES.index(mode) for mode in ("sliding", "turning"))
@@ -24,7 +24,7 @@ MIN_LIFTED_MM = 1.0  # over its height in the first row, of an object that finge
 MAX_NAMED_LENGTH = 200  # characters of a reason in a note
 
 
-def felt(prepared: Prepared, results: Sequence[SceneResult]) -> list[list[Touch]]:
+def felt(prepared: TouchScenes, results: Sequence[SceneResult]) -> list[list[Touch]]:
     """The touch of each finger in each episode, in the order of `prepared`.
 
     Args:
@@ -45,7 +45,7 @@ def felt(prepared: Prepared, results: Sequence[SceneResult]) -> list[list[Touch]
                     rows.fail(interval.log.row, interval.thing.body, why)
             for interval, result in per_finger.get((episode.index, at.finger.name), []):
                 rows.take(interval, result)
-            each.append(rows.touch())
+            each.append(rows.record())
         found.append(_lifted(episode, each, prepared))
     return found
 
@@ -53,7 +53,7 @@ def felt(prepared: Prepared, results: Sequence[SceneResult]) -> list[list[Touch]
 class _Rows:
     """The rows of one finger in one episode, as its intervals fill them."""
 
-    def __init__(self, contacts: Contacts, n: int, untouched: Bundle) -> None:
+    def __init__(self, contacts: AtFinger, n: int, untouched: Bundle) -> None:
         self.contacts, self.untouched = contacts, untouched
         self.touched, self.note = [""] * n, list(contacts.note)
         self.force, self.torque = np.zeros((n, 3)), np.zeros((n, 3))
@@ -64,7 +64,7 @@ class _Rows:
         self.frames: dict[int, tuple[Bundle, int] | None] = {}  # of rows that are not untouched; None: not known
         for row in np.flatnonzero([bool(text) for text in contacts.note]):
             if not contacts.note[row].startswith("the engine"):
-                self._unknown(row)
+                self._unknown(int(row))
                 self.touched[row] = contacts.near[row]
 
     def fail(self, rows: Array, name: str, why: str) -> None:
@@ -124,7 +124,7 @@ class _Rows:
             if not touching and abs(force) > MIN_CONTACT_FORCE_N:
                 self.note[row] = self.note[row] or f"nothing touches, and the engine has {force:.3g} N"
 
-    def touch(self) -> Touch:
+    def record(self) -> Touch:
         """The record of all rows."""
         return Touch(
             self.contacts.finger.name, self.touched, self.force, self.torque, self.markers, self.error,
@@ -153,7 +153,7 @@ def _pictures(frames: Mapping[int, tuple[Bundle, int] | None], untouched: Bundle
     return picture
 
 
-def _lifted(episode: Episode, touches: Sequence[Touch], prepared: Prepared) -> list[Touch]:
+def _lifted(episode: Episode, touches: Sequence[Touch], prepared: TouchScenes) -> list[Touch]:
     """Touches of all fingers, with the rows in which they together bear the object."""
     down = np.asarray(episode.gravity, float)
     if not (strength := float(np.linalg.norm(down))):

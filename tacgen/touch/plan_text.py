@@ -1,4 +1,4 @@
-"""What is said before episodes are solved, and after: contacts, their share of the rows, and forces beside the engine's."""
+"""Texts before episodes are solved, and after: contacts, their share of rows, and forces beside the engine's."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,12 +8,12 @@ import numpy as np
 
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.touch.episode import Episode, Touch
-from tacgen.touch.scenes import Prepared
+from tacgen.touch.scenes import TouchScenes
 
 MAX_LISTED_NOTES = 12  # lines about rows that are not as asked
 
 
-def summary(prepared: Prepared, fps: float) -> dict[str, Any]:
+def summary(prepared: TouchScenes, fps: float) -> dict[str, Any]:
     """Episodes, rows, the share of rows in contact and intervals by object, as JSON values."""
     intervals = list(prepared.scenes.values())
     rows = sum(map(len, prepared.episodes))
@@ -30,8 +30,8 @@ def summary(prepared: Prepared, fps: float) -> dict[str, Any]:
             f"episode {one.episode}, rows {one.rows[0]} to {one.rows[1]}, {one.thing.body} at {one.finger.name}: {why}"
             for one, why in prepared.refused
         ],
-        "left_out": {text: count for text, count in sorted(Counter(
-            text for each in prepared.contacts for at in each for text in at.note if text).items())},
+        "left_out": dict(sorted(Counter(note for each in prepared.contacts for at in each for note in at.note if note)
+                                .items())),
     }  # fmt: skip
 
 

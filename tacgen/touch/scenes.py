@@ -15,13 +15,14 @@ from tacgen.recipe import assets, checks, plan, scene_of_row
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row, scene_seed
 from tacgen.recipe.trajectory import Placement, Segment, Start
+from tacgen.recipe.trajectory_checks import Folders
 from tacgen.replay import written_recipe
 from tacgen.replay.preparation import WRITTEN_KEYS
 from tacgen.replay.selection import RecordedBody
 from tacgen.sensor.yaml_source import Tree
 from tacgen.touch import intervals
 from tacgen.touch.episode import Episode, Finger, Source
-from tacgen.touch.intervals import Contacts, Interval, Rate
+from tacgen.touch.intervals import AtFinger, Interval, Rate
 
 TABLE_KEY = "trajectory[0].replay.file"
 UNTOUCHED_FRAMES = 8  # pictures of an untouched sensor, which differ by the camera's noise
@@ -30,8 +31,8 @@ MATCHES = ("pose", "force")
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What of the contacts is solved, and how.
+class TouchChoice:
+    """Options: which contacts are solved, and how.
 
     match: one of MATCHES, whether the logged poses are kept or the logged force is; near_mm: as of
     `intervals.contacts`; friction between objects and gels [-]; quality: as in a recipe; sets: overrides of every
@@ -56,21 +57,21 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class TouchScenes:
     """The scenes of some episodes. scenes: a line of the plan -> its interval; refused: intervals that cannot be
     solved, with the reason; untouched: name of a finger -> the scene of its sensor without contact."""
 
     plan: Plan
     episodes: tuple[Episode, ...]
-    contacts: tuple[tuple[Contacts, ...], ...]  # of each episode, at each finger
+    contacts: tuple[tuple[AtFinger, ...], ...]  # of each episode, at each finger
     scenes: Mapping[int, Interval]
     refused: tuple[tuple[Interval, str], ...]
     untouched: Mapping[str, int]
     notes: tuple[str, ...]
 
 
-def prepare(source: Source, fingers: Sequence[Finger], asked: Asked, folder: Path, chosen: range | None = None,
-            *, overwrite: bool = False) -> Prepared:  # fmt: skip
+def prepare(source: Source, fingers: Sequence[Finger], asked: TouchChoice, folder: Path, chosen: range | None = None,
+            *, overwrite: bool = False) -> TouchScenes:  # fmt: skip
     """Find the contacts of a source's episodes, or of the `chosen` ones, and write the recipes of their scenes.
 
     An episode that cannot be read is left out, with a note.
@@ -83,7 +84,7 @@ def prepare(source: Source, fingers: Sequence[Finger], asked: Asked, folder: Pat
             for name, row in bases.items()}  # fmt: skip
     things = {name: (thing, intervals.body_of(thing)) for name, thing in source.things.items()}
     notes, episodes = list[str](), list[Episode]()
-    contacts = list[tuple[Contacts, ...]]()
+    contacts = list[tuple[AtFinger, ...]]()
     for episode in _readable(source, notes):
         if chosen is None or episode.index in chosen:
             episodes.append(episode)
@@ -114,7 +115,7 @@ def prepare(source: Source, fingers: Sequence[Finger], asked: Asked, folder: Pat
             plans.append(writer.group(fine, things[group[0].thing.body][1], bases[name]))
             order += fine
     scenes = {k: interval for k, interval in enumerate(order) if interval is not None}
-    return Prepared(
+    return TouchScenes(
         joined(plans, source.path.name), tuple(episodes), tuple(contacts), scenes, tuple(refused), untouched,
         tuple(notes),
     )  # fmt: skip
@@ -132,8 +133,8 @@ def _readable(source: Source, notes: list[str]) -> Iterator[Episode]:
             notes.append("; ".join(error.lines))
 
 
-def _recipe(finger: Finger, name: str, asked: Asked, outputs: Sequence[str]) -> dict[str, Any]:
-    """What the recipes of a finger have in common."""
+def _recipe(finger: Finger, name: str, asked: TouchChoice, outputs: Sequence[str]) -> dict[str, Any]:
+    """The keys that all recipes of a finger have."""
     known = re.fullmatch(r"[\w-]+", finger.sensor) and finger.sensor in assets.list_sensors()
     sensor = finger.sensor if known else str(assets.sensor_path(finger.sensor).resolve())
     return {
@@ -142,7 +143,7 @@ def _recipe(finger: Finger, name: str, asked: Asked, outputs: Sequence[str]) -> 
     }  # fmt: skip
 
 
-def _base(finger: Finger, asked: Asked) -> Row:
+def _base(finger: Finger, asked: TouchChoice) -> Row:
     """The scene of a finger's sensor under a ball that does not touch it. Raises UserError: the sensor is not valid."""
     ball = {"indenter": {"shape": "sphere", "radius_mm": 4.0}, "start": {"clearance_mm": UNTOUCHED_CLEARANCE_MM}}
     hold = {"trajectory": [{"hold": {"frames": UNTOUCHED_FRAMES}}]}
@@ -158,7 +159,7 @@ class _Writer:
     """Writes the tables and recipes of scenes into a folder."""
 
     folder: Path
-    asked: Asked
+    asked: TouchChoice
     overwrite: bool
 
     def untouched(self, finger: Finger, base: Row) -> Plan:
@@ -196,7 +197,7 @@ class _Writer:
         self._write_table(interval)
         move = Segment.model_validate({"replay": {"file": _table(interval), **self._move(interval, body)}})
         more = {"trajectory": (move,), "indenter": body.indenter, "start": Start()}
-        folders = {("trajectory", 0, "replay", "file"): self.folder}
+        folders: Folders = {("trajectory", 0, "replay", "file"): self.folder}
         problems = checks.recipe_problems(base.recipe.model_copy(update=more), base.sensor, folders)
         return problems[0].message.removeprefix(f"{_table(interval)}: ") if problems else ""
 

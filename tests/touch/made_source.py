@@ -60,11 +60,12 @@ def episode(balls: Mapping[str, Array], index: int = 0, fps: float = 10.0, force
 class Made:
     """A source of such episodes, or of messages in the place of those that cannot be read."""
 
-    kind, fps = "log", 10.0
+    kind: str = "log"
+    fps: float = 10.0
 
     def __init__(self, each: Sequence[Episode | str], things: Sequence[Thing], path: Path = Path("made")) -> None:
         self.each, self.path = each, path
-        self.things = {thing.body: thing for thing in things}
+        self.things: Mapping[str, Thing] = {thing.body: thing for thing in things}
 
     def __len__(self) -> int:
         return len(self.each)
