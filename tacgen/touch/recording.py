@@ -1,0 +1,194 @@
+"""Rows of any file as an Episode: joint states through a model, columns as poses, forces and grip; then the checks."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen.base.errors import UserError
+from tacgen.recipe.pose_table import MM_PER_UNIT
+from tacgen.touch import oddities, surfaces
+from tacgen.touch.columns import Columns, Get, picked, poses
+from tacgen.touch.episode import Episode, Thing
+from tacgen.touch.kinematics import M_TO_MM, Kinematics
+
+Array = np.ndarray
+DEFAULT_GRAVITY = (0.0, 0.0, -9.81)  # in the world, where no model says it [m/s^2]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The n rows of an episode as a file has them.
+
+    time (n,) [s]; get: a feature by its name; named, commands: observed numbers and commands (n,) by their names;
+    qpos, qvel: the model's states, where the file holds them whole; bodies: poses (n, 4, 4) [mm]; base: poses of the
+    model's own world; width (n,) [mm] between the fingers; model: that of the episode.
+    """
+
+    name: str
+    time: Array
+    get: Get
+    named: Mapping[str, Array] = field(default_factory=dict)
+    commands: Mapping[str, Array] = field(default_factory=dict)
+    qpos: Array | None = None
+    qvel: Array | None = None
+    bodies: Mapping[str, Array] = field(default_factory=dict)
+    base: Array | None = None
+    width: Array | None = None
+    model: Kinematics | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Recorded episodes, a Source. row: of an episode by its place; asked: `--object`s, text by name, "" for a body of
+    the model; columns: what the names in the file do not say."""
+
+    path: Path
+    kind: str
+    fps: float
+    count: int
+    rows: Callable[[int], Rows]
+    asked: Mapping[str, str]
+    columns: Columns
+
+    def __len__(self) -> int:
+        return self.count
+
+    @cached_property
+    def things(self) -> Mapping[str, Thing]:
+        """Objects by the names of their bodies: those asked for, else every body with a free joint in the model."""
+        return self._things(self.rows(0).model)
+
+    def episodes(self) -> Iterator[Episode]:
+        """In order. Raises UserError, one line, where an episode cannot be read or is not plausible."""
+        for number in range(self.count):
+            yield self.episode(number)
+
+    def episode(self, number: int) -> Episode:
+        """One episode by its place; raises as `episodes` does."""
+        rows = self.rows(number)
+        where = f"{self.path}: episode {rows.name}"
+        self._refuse_other_things(rows.model, where)
+        bodies, forces = dict(rows.bodies), dict[tuple[str, str], Array]()
+        try:
+            own = {name: poses(picked(text, rows.get), self.columns) for name, text in self.columns.bodies.items()}
+            if rows.model is not None:
+                states = _states(rows, rows.model, self.columns, own)
+                bodies |= _placed(rows.model.poses(states[0]), rows.base)
+                if states[2] is not None and self.things and not self.columns.forces:
+                    whole = states[0], rows.model.speeds(states[0], rows.time) if states[1] is None else states[1], states[2]
+                    forces |= rows.model.forces(whole, [name for name in self.things if name in rows.model.bodies])
+            forces |= {pair: _wide(picked(text, rows.get), 3, text) for pair, text in self.columns.pairs.items()}
+            grip = None
+            if self.columns.grip:
+                grip = np.maximum(_wide(picked(self.columns.grip, rows.get), 1, self.columns.grip)[:, 0], 0.0)
+        except (UserError, ValueError) as error:
+            raise UserError(f"{where}: {error}") from None
+        gravity = DEFAULT_GRAVITY if rows.model is None else rows.model.gravity
+        found = Episode(number, rows.name, rows.time, bodies | own, forces, grip, gravity)
+        if lost := [name for name in self.things if name not in found.bodies]:
+            known = ", ".join(found.bodies) or "none"
+            raise UserError(f"{where}: has no poses of {lost[0]} (of {known}): name its columns under bodies")
+        oddities.refuse(found, self.fps, where)
+        oddities.note(found, rows.width, where)
+        return found
+
+    def _things(self, model: Kinematics | None) -> dict[str, Thing]:
+        asked = self.asked or dict.fromkeys(model.free if model else (), "")
+        found = {}
+        for name, text in asked.items():
+            surface = surfaces.of_text(name, text) if text else None
+            if model is not None and name in model.bodies:
+                found[name] = model.thing(name, surface)
+            elif surface is None:
+                raise UserError(f"object {name}: without a model it needs a surface: --object {name}=MESH, or --model")
+            else:
+                found[name] = Thing(name, surface)
+        if not found:
+            raise UserError(f"{self.path}: no objects: name them by --object BODY (with --model) or --object NAME=MESH")
+        return found
+
+    def _refuse_other_things(self, model: Kinematics | None, where: str) -> None:
+        """Episodes may carry models of their own: what is touched must be as in the first."""
+        first = self.rows(0).model if model is not None else None
+        if model is None or model is first:
+            return
+        for name, thing in self._things(model).items():
+            mine, its = self.things[name].surface, thing.surface
+            if mine.indenter != its.indenter or not np.allclose(mine.pose, its.pose):
+                raise UserError(f"{where}: its {name} is another than that of the first episode: convert it by itself")
+
+
+def _states(
+    rows: Rows, model: Kinematics, columns: Columns, bodies: Mapping[str, Array]
+) -> tuple[Array, Array | None, Array | None]:
+    """Joint positions (n, nq) of the model, and speeds (n, nv) and commands (n, nu) where they are known.
+
+    Raises:
+        UserError: a joint has no column.
+    """
+    count, size = len(rows.time), int(model.model.nq)
+    qpos = rows.qpos
+    if columns.qpos:
+        qpos = _wide(picked(columns.qpos, rows.get), size, columns.qpos)
+    if qpos is None:
+        qpos = np.tile(model.model.qpos0, (count, 1))
+        lost = []
+        for joint, (place, endings, angle) in model.joints.items():
+            values = _of_joint(joint, endings, rows, columns)
+            if values is None and joint in bodies and len(endings) == 7:
+                values = _free_state(bodies[joint])
+            if values is None:
+                lost.append(joint)
+            else:
+                scale = np.pi / 180 if angle and columns.angles == "deg" else 1.0
+                qpos[:, place : place + len(endings)] = values * scale
+        if lost:
+            known = ", ".join(rows.named) or "none"
+            raise UserError(f"no column has the name of joint {', '.join(lost)}: name them under joints (there: {known})")
+    elif qpos.shape[1] != size:
+        raise UserError(f"has {qpos.shape[1]} joint positions, and {model.name} has {size}: is it its model?")
+    if (wrong := ~np.isfinite(qpos).all(1)).any():
+        raise UserError(f"row {wrong.argmax()}: its joint states are missing or no numbers")
+    qvel = _wide(picked(columns.qvel, rows.get), int(model.model.nv), columns.qvel) if columns.qvel else rows.qvel
+    ctrl = None
+    if columns.ctrl:
+        ctrl = _wide(picked(columns.ctrl, rows.get), int(model.model.nu), columns.ctrl)
+    elif model.actuators and rows.commands.keys() >= set(model.actuators):
+        ctrl = np.column_stack([rows.commands[name] for name in model.actuators])
+    return qpos, qvel, ctrl
+
+
+def _of_joint(joint: str, endings: Sequence[str], rows: Rows, columns: Columns) -> Array | None:
+    """Columns (n, k) of a joint: as given, or by names as joint, joint.pos, and joint.x ... joint.qz of a free one."""
+    if joint in columns.joints:
+        return _wide(picked(columns.joints[joint], rows.get), len(endings), columns.joints[joint])
+    for form in ("{}.{}", "{}_{}") if len(endings) > 1 else ("{}", "{}.pos"):
+        names = [form.format(joint, ending) for ending in endings]
+        if all(name in rows.named for name in names):
+            return np.column_stack([rows.named[name] for name in names])
+    return None
+
+
+def _free_state(poses: Array) -> Array:
+    """States (n, 7) of a free joint from poses (n, 4, 4) [mm], nan where these are."""
+    from scipy.spatial.transform import Rotation
+
+    found, known = np.full((len(poses), 7), np.nan), np.isfinite(poses).all((1, 2))
+    found[known, :3] = poses[known, :3, 3] / M_TO_MM
+    found[known, 3:] = Rotation.from_matrix(poses[known, :3, :3]).as_quat(scalar_first=True)
+    return found
+
+
+def _placed(bodies: Mapping[str, Array], base: Array | None) -> dict[str, Array]:
+    """Poses of the model's bodies in the world, where the model stands at `base` (n, 4, 4)."""
+    return dict(bodies) if base is None else {name: base @ each for name, each in bodies.items()}
+
+
+def _wide(values: Array, width: int, reference: str) -> Array:
+    if values.shape[1] != width:
+        raise UserError(f"columns: {reference}: has {values.shape[1]} numbers, expected {width}")
+    return np.asarray(values, float)
