@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen import mechanics
 from tacgen.base.clock import Clock
-from tacgen.bundle import bundle, kept_files
+from tacgen.bundle import bundle, frame_notes, kept_files
 from tacgen.bundle.schema import as_stored, finite_problem
 from tacgen.geometry.first_touch import closest
 from tacgen.mechanics import mesh
@@ -91,6 +91,7 @@ class Recorder:
         row, self.scene, _ = gel
         self.work, self.clock = work, work.clock
         self.poses: list[np.ndarray] = []
+        self.said: list[str] = []  # of frames that are not as a table wants them
         asked = {"force", *row.recipe.outputs} | {
             name for name in BLOCK_OUTPUTS if getattr(row.recipe, name) is not None
         }
@@ -134,8 +135,8 @@ class Recorder:
     def finish(self, status: Literal["ok", "rejected"], reason: str, notes: Sequence[str]) -> bundle.Bundle:
         """Close the bundle; `reason` says why it is rejected, or has not all frames."""
         late = [*(self.pictures.notes if self.pictures else []), *notes]
-        self._tell(late)
-        return self.writer.finish(status, reason, late, self.pictures.name if self.pictures else None)
+        self._tell([*late, *frame_notes.summary(self.said, len(self.poses))])
+        return self.writer.finish(status, reason, [*late, *self.said], self.pictures.name if self.pictures else None)
 
     def labelled(self, state: mechanics.State, held: "tuple[Held, int] | None") -> Datasets:
         """The datasets of a frame. Raises Rejected: a label is not finite."""
@@ -143,6 +144,7 @@ class Recorder:
             frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before, held), self.clock))
             self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
             self.poses.append(state.pose)
+            self.said += [frame_notes.line(state.index, state.note)] if state.note else []
             frame["/frames/segment"] = self.scene.segment[state.index]
             scene, known = self.scene, self.scene.element != "linear_tet"
             error = frame_error(scene.gel, scene.shape, state.pose, scene.edge) if known else math.nan
@@ -208,4 +210,5 @@ def _shared(work: SceneWork, gel: Solvable) -> SceneData:
         deviations=None if unsure is None else unsure.deviations,
         again=scene if unsure and unsure.mesh else None,
         known=work.solution.states if work.solution else (),
+        match=scene.match,
     )

@@ -12,10 +12,10 @@ import numpy as np
 
 from tacgen.base import atomic_file
 from tacgen.base.errors import UserError
-from tacgen.bundle import dataset, kept_files
+from tacgen.bundle import dataset, frame_notes, kept_files
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import attributes, finite_problem
-from tacgen.recipe import approach
+from tacgen.recipe import approach, matching
 from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parents_first, parse_path, put
 
 MAX_IMBALANCE = 1e-3  # largest force imbalance, and residual, over the contact force [-]
@@ -39,6 +39,7 @@ UNIQUE_PATH, RESIDUAL_PATH, DAMPED_STEPS_PATH = (
 )
 FOLDED_NOTE = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
 NO_CONTACT_NOTE = f"the indenter {approach.NO_CONTACT_MESSAGE}"  # beginning of a bundle's note
+MAX_MATCH_ERROR = 1e-2  # largest difference of a force from the one that a table asks for, over that [-]
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
 Seen = dict[tuple[Path, str], str]
@@ -304,11 +305,27 @@ def _folds(bundle: Bundle) -> Iterator[str]:
         )
 
 
+def _match(bundle: Bundle) -> Iterator[str]:
+    """A frame whose force is matched has it, or a note that says why not."""
+    paths = [f"/frames/match/{name}" for name in ("asked_force", "reached_force", "met")]
+    if all(path in bundle for path in paths):
+        asked, reached, met = (bundle[path] for path in paths)
+        off = np.abs(reached - asked)
+        wrong = met & (asked >= matching.MIN_MATCHED_FORCE_N) & (off > MAX_MATCH_ERROR * np.abs(asked))
+        yield from _say_frames(wrong, "the force is not the one that the table asks for: off by", off, "N")
+        yield from _say_frames(~met & ~np.array([*map(bool, frame_notes.of(bundle))]), "no note says why it is not met")
+
+
+def _unmet(bundle: Bundle) -> Iterator[str]:
+    """Frames that are not as a table asks."""
+    yield from frame_notes.summary([*filter(None, frame_notes.of(bundle))], bundle.frames)
+
+
 Rule = Callable[[Bundle], Iterator[str]]
 CHECK_RULES: tuple[Rule, ...] = (
-    *(_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers, _values, _files),
+    *(_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers, _values, _files, _match),
 )
-NOTE_RULES: tuple[Rule, ...] = (_maps, _contact, _folds)
+NOTE_RULES: tuple[Rule, ...] = (_maps, _contact, _folds, _unmet)
 
 
 def _changed(values: np.ndarray, threshold: float = 0.0) -> np.ndarray:

@@ -1,7 +1,8 @@
 """The states of all frames along the path.
 
 Each frame is at exactly the given pose, or at the height of the prescribed force. If a frame has no solution the
-scene is rejected. `path` says what is to be solved, and whichever engine there is solves it.
+scene is rejected; for a force of a table that no height has, it is at the nearest one that was found, with a note.
+`path` says what is to be solved, and whichever engine there is solves it.
 """
 
 import math
@@ -24,6 +25,9 @@ from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 INTERMEDIATE_FORCE_TOL = 1e-2  # tolerance of a force in the frames before the end of a movement [-]
+GUESSED_DEPTH_RATIO = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
+MAX_GUESSED_DEPTH_RATIO = 0.5  # largest first depth by the pose of a table, over the gel's thickness [-]
+ROUNDED_HEIGHT = 1e-9  # rounding error of a height [mm]
 UNIT_RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 
 
@@ -38,12 +42,13 @@ class Task:
 @dataclass(frozen=True)
 class Aim:
     """A prescribed force: the `target` of a frame [N] within `tol` of it, from the force `before` [N]; `floor`: lowest
-    height of the indenter's origin [mm]."""
+    height of the indenter's origin [mm]; `trusted`: the guess is better than what the force before tells."""
 
     target: float
     before: float
     floor: float
     tol: float
+    trusted: bool = False
 
 
 def _reach_force(
@@ -72,7 +77,8 @@ def _reach_force(
         floor + MAX_FORCE_SEARCH_DEPTH * problem.thickness,
         not np.allclose((guess - last) * (1 - UNIT_RISE), 0),
     )
-    if before > 0 and (elsewhere or (at <= known[0]) == (target > before)):  # or it contradicts `known`
+    contradicts = (at <= known[0]) == (target > before)
+    if before > 0 and (not aim.trusted if elsewhere else contradicts):
         at = -face + (known[0] + face) * (target / before) ** HERTZ_LINEAR_POWER
     if elsewhere:
         known = -face, 0.0
@@ -83,17 +89,40 @@ def _reach_force(
         history, state = trials[-1].reached()
         return replace(trials[-1], state=replace(state, iterations=sum(one.iterations for one in found)))
     most = max(map(normal_force, found), default=before)
+    known_as = {"asked": target, "near": min(found, key=lambda one: abs(normal_force(one) - target), default=None)}
     if end is End.out_of_reach:
         most = normal_force(found[-1])
-        raise NotConverged(Failure.too_much, asked=target, part=MAX_FORCE_SEARCH_DEPTH, most=most, index=index)
+        raise NotConverged(Failure.too_much, **known_as, part=MAX_FORCE_SEARCH_DEPTH, most=most, index=index)
     refused = [t.failure for t in trials if t.failure is not None]
     if end is End.stopped:
-        raise NotConverged(Failure.force_effort, asked=target, why=refused[-1], most=most)
+        raise NotConverged(Failure.force_effort, **known_as, why=refused[-1], most=most)
     if not refused and problem.options.step_tol >= DEFAULT_OPTIONS.step_tol:  # tolerances are large beside light forces
         finer = replace(problem, options=tighter(problem.options))
         return (yield from _reach_force(finer, history, last, guess, index, duration, aim))
     why = refused[-1] if refused else f"not met within {aim.tol:g} of it in {len(trials)} trials"
-    raise NotConverged(Failure.force, asked=target, most=most, why=why)
+    raise NotConverged(Failure.force, **known_as, most=most, why=why)
+
+
+def _matched_force(
+    problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, aim: Aim, lowest: float
+) -> Generator[Task, None, tuple[Course, str]]:
+    """As `_reach_force`, with a pose of a table as guess; if no height from `lowest` up has the force, the nearest one
+    that was found, or that at the guess, and why. Raises NotConverged: there is no solution at that either."""
+    face, guess = aim.floor + MAX_FORCE_SEARCH_DEPTH * problem.thickness, pose.copy()
+    if not face - MAX_GUESSED_DEPTH_RATIO * problem.thickness < guess[2, 3] < face:
+        guess[2, 3] = face - GUESSED_DEPTH_RATIO * problem.thickness
+    try:
+        found = yield from _reach_force(problem, history, last, guess, index, duration, aim)
+        if (deep := lowest - found.reached()[1].pose[2, 3]) > ROUNDED_HEIGHT:
+            raise NotConverged(Failure.deeper, asked=aim.target, depth=deep)
+    except NotConverged as error:
+        near = error.data.get("near")  # solved once more, so that it is the last that was solved
+        at = guess if near is None else near.pose
+        found = yield from trial(problem, history, last, at, index, duration, near)
+        if found.failure is not None:
+            raise error from None
+        return found, str(error)
+    return found, ""
 
 
 def trial(
@@ -135,9 +164,11 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
     """The solves of a scene and the states of its frames: each state follows its solves. A solve must be done before
     the next item is requested. Raises NotConverged: a frame has no solution."""
     history, last = problem.rest(Pose.of(scene.start)), scene.start
-    forced, shift, before, start_force = scene.forced, 0.0, 0.0, 0.0
+    forced, match, shift, before, start_force = scene.forced, scene.match, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses[: forced.end if forced else None]):
         duration = math.inf if scene.duration is None else float(scene.duration[index])
+        wanted = match[index] if match else None
+        note = wanted.note if wanted else ""
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
             raise forced.hopeless[1]
         if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):
@@ -145,11 +176,15 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
         if forced is not None and np.isfinite(asked := forced.asked[index]):
             target = start_force + forced.part[index] * (asked - start_force)
             tol = forced.tol or (problem.options.force_tol if forced.part[index] == 1 else INTERMEDIATE_FORCE_TOL)
-            aim = Aim(target, before, forced.floor[index], tol)
-            found = yield from _reach_force(problem, history, last, pose, index, duration, aim)
+            aim = Aim(target, before, forced.floor[index], tol, trusted=wanted is not None)
+            if wanted is None:
+                found = yield from _reach_force(problem, history, last, pose, index, duration, aim)
+            else:
+                guess, lowest = pose + shift * UNIT_RISE, pose[2, 3] - forced.below[index]
+                found, note = yield from _matched_force(problem, history, last, guess, index, duration, aim, lowest)
             history, state = found.reached()
             shift = state.pose[2, 3] - pose[2, 3]
-            if -shift > forced.below[index] + 1e-9:
+            if wanted is None and -shift > forced.below[index] + ROUNDED_HEIGHT:
                 raise NotConverged(Failure.deeper, asked=target, depth=-shift)
         else:
             if forced is not None and shift:
@@ -160,7 +195,7 @@ def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
             history, state = task.now.reached()
         if forced is not None:
             before = normal_force(state)
-        yield state
+        yield replace(state, note=note) if note else state
         last = state.pose
 
 

@@ -2,10 +2,11 @@
 
 Frames: the gripper's x is the closing axis, from the left finger to the right one, its origin midway between their
 faces; both fingers point along its -z. The left sensor looks along +x and the right one along -x, the top of their
-images (the sensor's -y) at the fingertip. At the start the gripper's frame is the world's.
+images (the sensor's -y) at the fingertip. At the start the gripper's frame is the world's, unless `begin` says where it
+is.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.first_touch import contact_height
 from tacgen.geometry.outline import Pad
 from tacgen.geometry.pose import about
-from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.scene import Match, Scene
 
 Array = np.ndarray
 # Sensor frame to gripper frame, left and right: columns are the sensor's x, y, z.
@@ -31,7 +32,7 @@ class GraspScene:
     [N], acting at `centre` (3,) of the object's frame [mm]; gripper (N, 4, 4): its pose in the world at each frame;
     width (N,) [mm] and force (N,) [N] that a segment asks for, nan where it does not (with neither the width stays);
     part (N,): of the change since the segment before that a frame makes [-]; segment (N,); fall: how far the object
-    sinks in a frame once friction does not bear it [mm].
+    sinks in a frame once friction does not bear it [mm]; begin (4, 4): the gripper in the world at the start.
     """
 
     fingers: tuple[Scene, Scene]
@@ -45,6 +46,12 @@ class GraspScene:
     part: Array
     segment: Array
     fall: float
+    begin: Array = field(default_factory=lambda: np.eye(4))
+
+    @property
+    def match(self) -> Match | None:
+        """What a table wants of the frames, which both fingers have."""
+        return self.fingers[0].match
 
     @property
     def apart(self) -> float:
@@ -64,6 +71,13 @@ def first_touch(shape: Shape, gels: tuple[Pad, Pad], height: float, y: float, ya
     pose = np.eye(4)
     pose[:3, :3] = about(np.array([0.0, 0.0, 1.0]), yaw)
     pose[:3, 3] = 0.0, y, -height
+    return centred(shape, gels, pose)
+
+
+def centred(shape: Shape, gels: tuple[Pad, Pad], pose: Array) -> tuple[Array, float]:
+    """As `first_touch`, of an object at a pose (4, 4) in the gripper's frame, moved along the closing axis alone."""
+    pose = pose.copy()
+    pose[0, 3] = 0.0
     left, right = (contact_height(shape, gel, seen_from(side, 0.0, pose)) for side, gel in enumerate(gels))
     if np.isfinite(left + right):
         pose[0, 3] = (left - right) / 2

@@ -17,7 +17,7 @@ import numpy as np
 from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.frames import normal_force, trial
+from tacgen.mechanics.frames import GUESSED_DEPTH_RATIO, normal_force, trial
 from tacgen.mechanics.grasp import FINGER_ROTATIONS, FINGER_SIDES, GraspScene, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT_OPTIONS, tighter
@@ -45,7 +45,6 @@ MIN_FORCE_PER_WEIGHT = 1e-3  # smallest force scale, over the weight [-]
 MIN_STIFFNESS_RATIO = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
 # the error of a resultant is the sum of the nodal residuals, some ten times their 2-norm
 GRASP_OPTIONS = tighter(DEFAULT_OPTIONS)
-GUESSED_DEPTH_RATIO = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
 MIN_GRASP_STEP = 1 / 4  # smallest fraction of a Newton step in the line search [-]
 
 
@@ -55,7 +54,7 @@ class Held:
 
     states: of the left and the right gel; pose, sensors (4, 4): of the object and of both sensors in the world; width
     [mm] between the untouched faces; unborne: part of the weight that the fingers do not bear [N]; balance: residual of
-    both fingers' forces and moments, the weight and the table, over the grip force [-].
+    both fingers' forces and moments, the weight and the table, over the grip force [-]; weight of the object [N].
     """
 
     states: tuple[State, State]
@@ -65,6 +64,7 @@ class Held:
     mode: Mode
     unborne: float
     balance: float
+    weight: float
 
 
 class Trial(NamedTuple):
@@ -95,13 +95,28 @@ def held(grasp: GraspScene, problems: tuple[Problem, Problem], *, tol: float | N
     for index in range(len(grasp.gripper)):
         if index and grasp.segment[index] != grasp.segment[index - 1]:
             begun = last  # before the segment
+        wanted = grasp.match[index] if grasp.match else None
+        note = wanted.note if wanted else ""
         frame = Frame(grasp, problems, last, index, begun, problems[0].options.force_tol if tol is None else tol)
-        last, mode = frame.find(mode)
+        try:
+            found = frame.find(mode)
+        except NotConverged as error:
+            if wanted is None or index == 0:
+                raise
+            note = f"{error}; the fingers stay as far apart as in the frame before"
+            still = np.full(len(grasp.gripper), np.nan)
+            frame = Frame(replace(grasp, force=still, width=still), problems, last, index, begun, frame.tol)
+            try:
+                found = frame.find(mode)
+            except NotConverged:
+                raise error from None
+        last, mode = found
         gripper = grasp.gripper[index]
-        states = tuple(gel[1] for gel in last.gels)
+        states = tuple(replace(gel[1], note=note) if note else gel[1] for gel in last.gels)
         fingers = tuple(gripper @ finger(side, last.width) for side in (0, 1))
         pose, left = gripper @ last.pose, frame.unborne(last)
-        yield Held(states, pose, fingers, last.width, mode, left, frame.balance(last, mode))  # type: ignore[arg-type]
+        balance = frame.balance(last, mode)
+        yield Held(states, pose, fingers, last.width, mode, left, balance, frame.heaviness)  # type: ignore[arg-type]
 
 
 class Frame:
@@ -122,7 +137,7 @@ class Frame:
         self.down = self.load[:3] / self.heaviness
         self.arm, self.trials = grasp.opening / 2, 0
         self.scale = np.array([1.0, 1, 1, self.arm, self.arm, self.arm])
-        self.before = grasp.gripper[max(index - 1, 0)]
+        self.before = grasp.gripper[index - 1] if index else grasp.begin
 
     def find(self, mode: Mode) -> tuple[Trial, Mode]:
         """The frame's equilibrium, and what the object does in it. Raises NotConverged.
@@ -131,6 +146,8 @@ class Frame:
         the whole contact slides, the tangent is no guide.
         """
         table, carried, width = self._height(self.last.pose), self.last.pose, self._first_width()
+        if self.last.grip == 0 and not np.array_equal(self.gripper, self.before):  # it stays, or lies on the table
+            mode, carried = Mode.standing, np.linalg.inv(self.gripper) @ self.before @ self.last.pose
         lowest = table if mode == Mode.standing else min(table, self.grasp.fall)
         if mode == Mode.held or (mode == Mode.standing and lowest > 0):
             trial = self._newton(self._trial(carried, width), Mode.held, lowest)
@@ -169,7 +186,7 @@ class Frame:
 
     def _height(self, pose: Array) -> float:
         """Height of the centre of mass over its place on the table, along the weight [mm]."""
-        centre, start = (self._centre(p) for p in (self.gripper @ pose, self.grasp.start))
+        centre, start = (self._centre(p) for p in (self.gripper @ pose, self.grasp.begin @ self.grasp.start))
         return float((start - centre) @ (self.gripper[:3, :3] @ self.down))
 
     def _centre(self, pose: Array) -> Array:

@@ -1,8 +1,9 @@
 """A scene as the numerics need it: gel, indenter, path and tolerances as arrays and numbers, without a recipe."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -49,6 +50,40 @@ class Forced:
         return out
 
 
+class Wanted(NamedTuple):
+    """What a table wants of a frame whose force is matched."""
+
+    pose: Array | None  # (4, 4) of the object in the table, None: not known
+    force: float = np.nan  # normal force; in a grasp of each finger [N]
+    note: str = ""  # why the frame cannot be as the table has it
+
+
+@dataclass(frozen=True)
+class Match:
+    """What a table wants of frames. frames (N,): whether it wants anything; poses (N, 4, 4): of the object in the
+    sensor's frame, in a grasp in the world, nan where not known; force (N,) [N], nan likewise; notes: see Wanted.
+    """
+
+    frames: Array
+    poses: Array
+    force: Array
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, wanted: Sequence[Wanted | None]) -> "Match | None":
+        """What is wanted of each frame; None: nothing of any."""
+        if all(each is None for each in wanted):
+            return None
+        every = [each or Wanted(None) for each in wanted]
+        poses = np.array([np.full((4, 4), np.nan) if each.pose is None else each.pose for each in every])
+        force, notes = np.array([each.force for each in every]), tuple(each.note for each in every)
+        return cls(np.array([each is not None for each in wanted]), poses, force, notes)
+
+    def __getitem__(self, index: int) -> Wanted | None:
+        """Of one frame."""
+        return Wanted(self.poses[index], self.force[index], self.notes[index]) if self.frames[index] else None
+
+
 @dataclass(frozen=True)
 class GelDynamics:
     """Mass and Rayleigh damping of the gel."""
@@ -81,6 +116,7 @@ class Scene:
     duration: Array | None = None  # (N,) of each frame [s]; None: quasi-static
     element: Element = "hex"
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
+    match: Match | None = None  # what a table wants of frames
 
     @cached_property
     def overlaps(self) -> list[tuple[Overlap, Array]]:

@@ -54,6 +54,7 @@ class State:
     least_J: float  # certified lower bound of J over all of the gel [-]
     damped: int = 0  # of the iterations, those in a fold: from the first of a load step that needed damping on
     unique: bool = True  # no damped step since the gel was last untouched
+    note: str = ""  # why the frame is not as a table wants it
     rounded: float = 0.0  # friction at points that crossed a sharp edge in one step, over the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History
     after: History | None = None  # at its end

@@ -23,7 +23,8 @@ OUTPUT_NAMES = (  # in the order in which recipes are stored
     "radiance",
     "rgb",
 )
-BLOCK_OUTPUTS = ("uncertainty", "grasp")  # not asked for by name, but by the block of that name in the recipe
+# not asked for by name, but by the block of that name in the recipe, or by `match` of a replay
+BLOCK_OUTPUTS = ("uncertainty", "grasp", "match")
 POSITIONS_OUTPUT = "positions"  # made wherever another output has a map
 OUTPUTS: dict[str, Output] = {
     name: import_module(f"tacgen.outputs.{name}").OUTPUT

@@ -18,7 +18,7 @@ from tacgen.sensor.model import Sensor
 
 if TYPE_CHECKING:
     from tacgen.mechanics.grasp_balance import Held
-    from tacgen.mechanics.scene import Scene
+    from tacgen.mechanics.scene import Match, Scene
     from tacgen.optics.camera import PinholeCamera
     from tacgen.optics.material_flow import Flow
     from tacgen.optics.surface_grid import Sheet
@@ -71,6 +71,7 @@ class SceneData(_Faces):
         deviations: Mapping[str, float] | None = None,
         again: "Scene | None" = None,
         known: Sequence[State] = (),
+        match: "Match | None" = None,
     ) -> None:
         """Nothing is computed yet.
 
@@ -78,9 +79,9 @@ class SceneData(_Faces):
             pictures: makes the camera from the face that it sees at rest. asked: names of outputs.
             analytic: whether markers move by formulas. deviations: standard deviations of the uncertain inputs.
             again: the scene, if it is to be solved on a coarser mesh too, for the error of the mesh.
-            known: all states, if they are there before the first frame.
+            known: all states, if they are there before the first frame. match: what a table wants of the frames.
         """
-        self.sensor, self.problem, self.asked = sensor, problem, asked
+        self.sensor, self.problem, self.asked, self.match = sensor, problem, asked, match
         self._pictures, self._analytic, self._deviations, self._again = pictures, analytic, deviations or {}, again
         self._known, self._ahead = known, dict[int, tuple[gel_surface.GelSurface, gel_surface.GelSurface]]()
         self._sheet: Sheet | None = None

@@ -4,7 +4,7 @@ import importlib.util
 import math
 
 from tacgen.base.errors import UserError
-from tacgen.recipe import trajectory_checks
+from tacgen.recipe import matching, trajectory_checks
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Grasp, Recipe
 from tacgen.recipe.trajectory import Start, Timed
@@ -12,6 +12,7 @@ from tacgen.sensor.model import Sensor
 from tacgen.sensor.validation_messages import Issue
 
 GRIPPER_MOVES = ("close", "lift")  # movements of a gripper alone
+LATE_TABLE_MESSAGE = "can be grip in the first movement alone, where the table says how the grasp begins"
 TOO_CLOSE_MESSAGE = "must be above {:.4g}: first touch is at {:.4g} mm"
 GRASP_MOVES = (*GRIPPER_MOVES, "tilt", "hold", "replay")  # all movements of a gripper
 
@@ -24,6 +25,10 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
             Issue(("trajectory", i, step.kind), "needs a grasp: add one, or leave this movement out", at_key=True)
             for i, step in enumerate(recipe.trajectory)
             if step.kind in GRIPPER_MOVES
+        ] + [
+            Issue(("trajectory", i, "replay", "match"), "cannot be grip without a grasp: add one, or take force")
+            for i, step in enumerate(recipe.trajectory)
+            if step.replay and step.replay.match == "grip"
         ]
     wrong = [
         Issue(
@@ -32,8 +37,14 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
         for i, step in enumerate(recipe.trajectory)
         if step.kind not in GRASP_MOVES
     ]
-    if recipe.trajectory[0].kind != "close" and not wrong:
-        wrong.append(Issue(("trajectory", 0), "must be close: a grasp begins with closed fingers"))
+    first = recipe.trajectory[0].replay
+    if recipe.trajectory[0].kind != "close" and not (first and first.matched) and not wrong:
+        text = "must be close, or a replay with match: grip: a grasp begins with closed fingers"
+        wrong.append(Issue(("trajectory", 0), text))
+    for i, step in enumerate(recipe.trajectory):
+        if step.replay and step.replay.matched and (i or step.replay.match == "force"):
+            text = "cannot be force in a grasp: take grip" if step.replay.match == "force" else LATE_TABLE_MESSAGE
+            wrong.append(Issue(("trajectory", i, "replay", "match"), text))
     if recipe.force_error is not None:
         wrong.append(Issue(("quality", "force_error"), "is not known for a grasp: give edge_mm"))
     still = "has no effect in a grasp, which is quasi-static: leave it out"
@@ -47,19 +58,36 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
             wrong.append(Issue((key,), "has no effect in a grasp: leave it out", at_key=True))
     if importlib.util.find_spec("cvxopt") is None:
         wrong.append(Issue(("grasp",), "needs CVXOPT, which is not installed: pip install cvxopt", at_key=True))
-    return [*wrong, *_tables(recipe, folders), *solid(sensor), *_object(recipe, grasp, sensor)]
+    tables, placed = _tables(recipe, folders)
+    return [*wrong, *tables, *solid(sensor), *(_placed(recipe, grasp) if placed else _object(recipe, grasp, sensor))]
 
 
-def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Issue]:
-    """Pose tables of the gripper that cannot be used."""
-    wrong = []
+def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> tuple[list[Issue], bool]:
+    """Pose tables of the gripper that cannot be used, and whether one says where the object is at the start."""
+    wrong, placed = list[Issue](), False
     for i, step in enumerate(recipe.trajectory):
         where = ("trajectory", i, "replay", "file")
         try:
             if step.replay is not None:
-                trajectory_checks.replayed(step.replay, folders.get(where))
+                rows = trajectory_checks.replayed(step.replay, folders.get(where))
+                placed = placed or (step.replay.match == "grip" and rows[0].held is not None)
+                if why := matching.lacks(rows, step.replay):
+                    wrong.append(Issue((*where[:-1], "match"), why))
         except UserError as error:
             wrong += [Issue(where, line) for line in error.lines]
+    return wrong, placed
+
+
+def _placed(recipe: Recipe, grasp: Grasp) -> list[Issue]:
+    """What has no effect on an object whose first pose is in a table, or is not known of it."""
+    given = {"height_mm": None, "y_mm": 0.0, "yaw_deg": 0.0}
+    text = "has no effect: the table's first row says where the object is: leave it out, or those columns"
+    wrong = [Issue(("grasp", key), text) for key, usual in given.items() if getattr(grasp, key) != usual]
+    if grasp.centre_mm is None and (shape := analytic(recipe.indenter)) is not None:
+        import numpy as np
+
+        if math.isinf(shape.support(np.array([0.0, 0.0, 1.0]))):
+            wrong.append(Issue(("grasp",), "must say where an object without a top has its centre of mass: centre_mm"))
     return wrong
 
 

@@ -269,6 +269,12 @@ class Recipe(Part):
         return sum(segment.frames for segment in self.trajectory)
 
     @property
+    def match(self) -> str | None:
+        """What of a replayed table is met instead of its poses, force or grip, if anything is."""
+        matched = (step.replay.match for step in self.trajectory if step.replay and step.replay.matched)
+        return next(matched, None)
+
+    @property
     def files(self) -> tuple[KeyPath, ...]:
         """The places in the recipe that name files, whose paths are relative to the file they are written in."""
         tables = [("trajectory", i, "replay", "file") for i, step in enumerate(self.trajectory) if step.replay]

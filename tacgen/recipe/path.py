@@ -11,7 +11,7 @@ from tacgen.base.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.first_touch import MAX_GRID_ERROR_MM, contact_height, least_over, lowest_over
 from tacgen.geometry.pose import shortest_turn
-from tacgen.mechanics.scene import Forced
+from tacgen.mechanics.scene import Forced, Match
 from tacgen.recipe import pose_table
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory_poses import PathFrame, TrajectoryError, Walk
@@ -28,13 +28,15 @@ Array = np.ndarray
 @dataclass(frozen=True)
 class Path:
     """Poses (N, 4, 4) at every frame; rotation vectors (N, 3) [rad] from each pose to the next, which may exceed half a
-    turn; segment (N,) of each frame; `forced` frames; and the pose (4, 4) before the first frame, clear of the gel."""
+    turn; segment (N,) of each frame; `forced` frames; those that `match` a table; and the pose (4, 4) before the first
+    frame, clear of the gel."""
 
     start: Array
     poses: Array
     turns: Array
     segment: Array
     forced: Forced | None
+    match: Match | None
 
 
 def sunk_beside(
@@ -76,7 +78,7 @@ def indenter_path(
         raise UserError(f"{format_path(refused.where)}: {line}" for line in refused.lines) from None
     before = [start, *(frame.pose for frame in frames[:-1])]
     ways = [shortest_turn(a, f.pose) if f.turn is None else f.turn for a, f in zip(before, frames, strict=True)]
-    poses, _, *asked_for = zip(*frames, strict=True)
+    poses, _, *asked_for, wanted = zip(*frames, strict=True)
     asked, part, carry, floor, below = (np.array(column) for column in asked_for)
     forced = Forced(asked, part, carry, floor, np.nan_to_num(below)) if np.isfinite(asked).any() else None
-    return Path(start, np.array(poses), np.array(ways), np.array(segments), forced)
+    return Path(start, np.array(poses), np.array(ways), np.array(segments), forced, Match.of(wanted))

@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -27,22 +28,29 @@ COLUMN_TITLES = {
     **{f"sensor_{axis}": (f"sensor_{axis}", f"sensor_position_{axis}") for axis in "xyz"},
     **{f"sensor_q{part}": (f"sensor_q{part}", f"sensor_orientation_{part}") for part in "wxyz"},
     **{f"force_{axis}": (f"force_{axis}", f"force.{axis}") for axis in "xyz"},
+    **{f"object_{axis}": (f"object_{axis}", f"object_position_{axis}") for axis in "xyz"},
+    **{f"object_q{part}": (f"object_q{part}", f"object_orientation_{part}") for part in "wxyz"},
+    "grip": ("grip", "grip_force"),
+    "width": ("width", "gripper_width"),
 }
 BODY_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 SENSOR_COLUMNS = tuple(f"sensor_{name}" for name in BODY_COLUMNS)  # all of them, or none
-FORCE_COLUMNS = ("force_x", "force_y", "force_z")  # not used by the movement `replay`
-LENGTH_COLUMNS = (*BODY_COLUMNS[:3], *SENSOR_COLUMNS[:3])
+OBJECT_COLUMNS = tuple(f"object_{name}" for name in BODY_COLUMNS)  # all of them, or none
+FORCE_COLUMNS = ("force_x", "force_y", "force_z")  # used by a replay with match: force
+OPTIONAL_CELLS = {*OBJECT_COLUMNS, *FORCE_COLUMNS, "grip", "width"}  # columns whose cells may be empty
+LENGTH_COLUMNS = (*BODY_COLUMNS[:3], *SENSOR_COLUMNS[:3], *OBJECT_COLUMNS[:3], "width")
 MM_PER_UNIT = {"mm": 1.0, "m": 1000.0}
 SECONDS_PER_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 NEWTONS_PER_UNIT = {"n": 1.0}
 UNIT_SUFFIXES: dict[str, Mapping[str, float]] = {
     "time": SECONDS_PER_UNIT,
     **dict.fromkeys(LENGTH_COLUMNS, MM_PER_UNIT),
-    **dict.fromkeys(FORCE_COLUMNS, NEWTONS_PER_UNIT),
+    **dict.fromkeys((*FORCE_COLUMNS, "grip"), NEWTONS_PER_UNIT),
 }
 MAX_POSE_TABLE_BYTES = 200_000_000  # [bytes]
 Placed = tuple[Vector, Quaternion]  # position [mm] and rotation
-Row = tuple[int, float, Placed, Placed | None, Vector | None]  # line, time as in the file, body, sensor, force [N]
+# line, time as in the file, body, sensor, force [N], object, grip [N] and width [mm]
+Row = tuple[int, float, Placed, Placed | None, Vector | None, Placed | None, float, float]
 
 
 class TimedPose(NamedTuple):
@@ -53,6 +61,10 @@ class TimedPose(NamedTuple):
     pose: "ndarray"  # (4, 4)
     sensor: "ndarray | None" = None  # (4, 4)
     force: Vector | None = None  # on the sensor, in the table's frame [N]; its components may be nan
+    held: "ndarray | None" = None  # (4, 4) of the object that a gripper holds
+    grip: float = math.nan  # normal force of each finger [N]
+    width: float = math.nan  # distance of the fingers' untouched faces [mm]
+    normal: float = math.nan  # that a matched replay asks for, pressing on the gel; in a grasp the grip [N]
 
 
 @dataclass(frozen=True)
@@ -90,17 +102,19 @@ def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray
     return poses
 
 
-def relative(rows: "Sequence[TimedPose]", sensor_pose: "Placement", indenter_pose: "Placement") -> "ndarray":
+def relative(
+    rows: "Sequence[TimedPose]", sensor_pose: "Placement", indenter_pose: "Placement | None" = None
+) -> "ndarray":
     """Poses (n, 4, 4) of the indenter in the sensor's frame.
 
     Args:
         rows: of one table.
         sensor_pose: of the sensor's frame in the recorded sensor body or, without that, in the table's frame.
-        indenter_pose: of the indenter's frame in the recorded body.
+        indenter_pose: of the indenter's frame in the recorded body; None: the same.
     """
     import numpy as np
 
-    frames = (sensor_pose, indenter_pose)
+    frames = (sensor_pose, indenter_pose or type(sensor_pose)())
     sensor, inner = matrices([p.position_mm for p in frames], [p.quaternion for p in frames])
     bodies = [row.sensor for row in rows if row.sensor is not None]
     mounted = np.array(bodies) @ sensor if bodies else sensor
@@ -128,11 +142,17 @@ def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...])
         raise UserError(csv_table.few([f"line {line}: {said}" for line, said in sorted(wrong)]))
     if not rows:
         raise UserError("holds no pose below its header: a row for each is needed")
-    numbers, times, bodies, sensors, forces = (list(column) for column in zip(*rows, strict=True))
-    poses = [matrices(*map(list, zip(*places, strict=True))) for places in (bodies, sensors) if places[0] is not None]
-    each = zip(numbers, times, poses[0], poses[1] if len(poses) > 1 else sensors, forces, strict=True)
+    numbers, times, bodies, sensors, forces, held, *more = (list(column) for column in zip(*rows, strict=True))
+    each = zip(numbers, times, _stacked(bodies), _stacked(sensors), forces, _stacked(held), *more, strict=True)
     found = tuple(TimedPose(number, second * time, *others) for number, time, *others in each)
     return PoseTable(hashlib.sha256(raw).hexdigest(), found)
+
+
+def _stacked(places: "list[Placed | None]") -> "list[ndarray | None]":
+    """Poses (4, 4), None where there is none."""
+    known = [place for place in places if place is not None]
+    found = iter(matrices(*map(list, zip(*known, strict=True))) if known else ())
+    return [None if place is None else next(found) for place in places]
 
 
 def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -> tuple[dict[str, int], float, float]:
@@ -158,10 +178,11 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
     wrong = []
     if lost := [title for title, column in titles.items() if column not in where]:
         wrong.append(f"has no column {', '.join(lost)}, which columns names {shown}")
-    needed = ("time", *BODY_COLUMNS, *(SENSOR_COLUMNS if {*where, *columns}.intersection(SENSOR_COLUMNS) else ()))
+    groups = [group for group in (SENSOR_COLUMNS, OBJECT_COLUMNS) if {*where, *columns}.intersection(group)]
+    needed = ("time", *BODY_COLUMNS, *itertools.chain(*groups))
     if missing := [column for column in needed if column not in {*where, *columns}]:
         wrong.append(f"has no column {', '.join(missing)}: name it under columns {shown}")
-    lengths = {said.get(axis) or units or "" for axis in LENGTH_COLUMNS if axis in needed}
+    lengths = {said.get(axis) or units or "" for axis in LENGTH_COLUMNS if axis in {*needed, *where}}
     if lengths == {""}:
         wrong.append(f"does not say whether x, y and z are in mm or m: add units: m, or units: mm {shown}")
     if wrong:
@@ -178,17 +199,19 @@ def _row(line: int, cells: list[str], where: dict[str, int], scale: float, befor
     """The numbers of one row. Raises ValueError with a message for people."""
     value = {column: csv_table.number(cells[i]) for column, i in where.items()}
     for column, number in value.items():
-        if math.isnan(number) and column not in FORCE_COLUMNS:
+        if math.isnan(number) and column not in OPTIONAL_CELLS:
             raise ValueError(f"{column} must be a number (got {cells[where[column]]!r})")
     if before is not None and value["time"] <= before[1]:
         raise ValueError(f"time must increase (got {value['time']:.15g} after {before[1]:.15g}): sort the rows")
-    body, sensor, force = (
-        tuple(value[c] for c in group if c in value) for group in (BODY_COLUMNS, SENSOR_COLUMNS, FORCE_COLUMNS)
-    )
+    groups = (BODY_COLUMNS, SENSOR_COLUMNS, FORCE_COLUMNS, OBJECT_COLUMNS)
+    body, sensor, force, held = (tuple(value[c] for c in group if c in value) for group in groups)
+    if any(map(math.isnan, held)):
+        held = ()
 
     def placed(pose: tuple[float, ...]) -> Placed:
         x, y, z, *turn = pose
         return (scale * x, scale * y, scale * z), unit((turn[0], turn[1], turn[2], turn[3]))
 
     pushed = (force[0], force[1], force[2]) if len(force) == len(FORCE_COLUMNS) else None
-    return line, value["time"], placed(body), placed(sensor) if sensor else None, pushed
+    places = placed(body), placed(sensor) if sensor else None, pushed, placed(held) if held else None
+    return line, value["time"], *places, value.get("grip", math.nan), scale * value.get("width", math.nan)

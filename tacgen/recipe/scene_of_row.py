@@ -100,7 +100,7 @@ def _scene(row: Row) -> Scene:
     forced = path.forced
     if forced is not None and row.pair is not None:
         forced = replace(forced, tol=MATCHED_FORCE_TOL)
-    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns)
+    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match)
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 

@@ -16,6 +16,8 @@ Column = Literal[
     "time", "x", "y", "z", "qw", "qx", "qy", "qz",
     "sensor_x", "sensor_y", "sensor_z", "sensor_qw", "sensor_qx", "sensor_qy", "sensor_qz",
     "force_x", "force_y", "force_z",
+    "object_x", "object_y", "object_z", "object_qw", "object_qx", "object_qy", "object_qz",
+    "grip", "width",
 ]  # fmt: skip
 Frames = Annotated[int, Field(ge=1, le=10_000)]
 
@@ -130,6 +132,11 @@ class Replay(Part):
     The table is CSV with a header: time_s, x_mm, y_mm, z_mm (or x_m, ...), qw, qx, qy, qz. If the rows are in another
     frame than the sensor's, give `sensor_pose`; if they are poses of another body than the indenter, `indenter_pose`.
     If the sensor moves, the table has its pose as well: sensor_x_mm, ..., sensor_qw, ...
+
+    With `match: force` the object is moved along the sensor's z until the normal force is that of the row (force_x_n,
+    ...: on the gel, in the table's frame). With `match: grip` the rows are the poses of a grasp's gripper, and each
+    finger presses with grip_n or, where that is empty, the faces are width_mm apart; object_x_mm, ..., object_qw, ...
+    are the object's pose.
     """
 
     file: FilePath
@@ -140,7 +147,22 @@ class Replay(Part):
     indenter_pose: Placement = Placement()  # pose of the indenter in the frame of the body that was recorded
     every: Annotated[int, Field(ge=1)] = 1  # take every n-th row, from the first
     frames: Frames | None = None  # number of frames; None: up to the table's end
+    match: Literal["pose", "force", "grip"] | None = None  # what of the table is met exactly; None: pose
+    filter_rows: Annotated[int, Field(ge=1)] | None = None  # forces are medians over so many rows; None: of 3
     sha256: Sha256 | None = None
+
+    @model_validator(mode="after")
+    def _filtered(self) -> Self:
+        if self.filter_rows is not None and not self.matched:
+            raise ValueError("filter_rows has no effect without match: force or grip: leave it out")
+        if (self.filter_rows or 1) % 2 == 0:
+            raise ValueError(f"filter_rows must be odd, so that a row is in the middle (got {self.filter_rows})")
+        return self
+
+    @property
+    def matched(self) -> bool:
+        """Whether forces of the table are met, not its poses."""
+        return self.match in ("force", "grip")
 
 
 class Hold(Timed):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tacgen.base.errors import UserError
-from tacgen.recipe import assets, pose_table
+from tacgen.recipe import assets, matching, pose_table
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.pose_table import TimedPose
@@ -24,7 +24,7 @@ Folders = Mapping[KeyPath, Path]  # place in the recipe that names a file -> fol
 
 
 def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
-    """The poses of a replay, one a frame: the indenter in the sensor's frame.
+    """The poses of a replay, one a frame: the indenter in the sensor's frame; with the forces to match, if any are.
 
     Raises:
         UserError: the table cannot be used, or its hash is not the expected one; lines start with its name.
@@ -36,7 +36,11 @@ def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
         raise UserError(f"{move.file}: {line}" for line in error.lines) from None
     if move.sha256 not in (None, table.sha256):
         raise UserError(f"{move.file}: {assets.changed(table.sha256)}")
-    rows = table.poses[:: move.every][: move.frames]
+    rows = table.poses
+    if move.matched:
+        forces = matching.asked(rows, move).tolist()
+        rows = tuple(row._replace(normal=force) for row, force in zip(rows, forces, strict=True))
+    rows = rows[:: move.every][: move.frames]
     if len(rows) > MAX_SEGMENT_FRAMES:
         raise UserError(
             f"{move.file}: gives {len(rows)} frames, at most {MAX_SEGMENT_FRAMES} can be: thin it out by `every`"
@@ -46,7 +50,12 @@ def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
             f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for: leave frames out, or as many"
         )
     poses = pose_table.relative(rows, move.sensor_pose, move.indenter_pose)
-    return tuple(row._replace(pose=pose, sensor=None) for row, pose in zip(rows, poses, strict=True))
+    held = [row._replace(pose=row.held) for row in rows if row.held is not None]
+    each = iter(pose_table.relative(held, move.sensor_pose) if held else ())
+    return tuple(
+        row._replace(pose=pose, sensor=None, held=None if row.held is None else next(each))
+        for row, pose in zip(rows, poses, strict=True)
+    )
 
 
 def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
@@ -85,9 +94,12 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             return ()
         where: KeyPath = ("trajectory", i, "replay", "file")
         try:
-            return replayed(replay, folders.get(where))
+            found = replayed(replay, folders.get(where))
         except UserError as error:
             raise TrajectoryError(where, *error.lines) from None
+        if why := matching.lacks(found, replay):
+            raise TrajectoryError(("trajectory", i, "replay", "match"), why)
+        return found
 
     def beside(point: "Array") -> bool:
         x, y = point[:2].tolist()  # nan for a tilted mesh: its file is not read here
@@ -118,9 +130,11 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         table = rows(i) if i else table
         for k, frame in enumerate(walk.frames(segment, table, where, checking=True)):
             # a mesh may be longer than the pad: its middle says nothing of where it touches
-            if isinstance(move, Replay) and shape and walk.low < 0 and beside(point := lowest_point(frame.pose)):
+            followed = isinstance(move, Replay) and move.match != "force"
+            if followed and shape and walk.low < 0 and beside(point := lowest_point(frame.pose)):
                 place = ", ".join(f"{c:.4g}" for c in point + 0.0)
                 text = f"at ({place}) the indenter would be beside {pad} and below its face: move it in, or up"
+                assert isinstance(move, Replay)
                 raise TrajectoryError((*where, "file"), f"{move.file}: line {table[k].line}: {text}")
         if isinstance(move, Slide) and beside(walk.pose[:, 3]):
             x, y = walk.pose[:2, 3]

@@ -11,7 +11,8 @@ import numpy as np
 from tacgen.geometry.analytic_sdf import lowest
 from tacgen.geometry.first_touch import MAX_GRID_ERROR_MM
 from tacgen.geometry.pose import about
-from tacgen.mechanics.scene import MAX_FORCE_SEARCH_DEPTH
+from tacgen.mechanics.scene import MAX_FORCE_SEARCH_DEPTH, Wanted
+from tacgen.recipe.matching import MIN_MATCHED_FORCE_N
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
 from tacgen.sensor.yaml_source import KeyPath
@@ -21,6 +22,7 @@ FIRST_DEPTH_RATIO = 0.1  # first guess of the depth in the search for a force, o
 FLANK_MESSAGE = "the indenter's flank would meet the gel before its tip"
 BASE_MESSAGE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"
 BESIDE_MESSAGE = "nothing of the indenter is over the gel, so that it would never touch it"
+NO_FORCE_MESSAGE = "the table has no force here: the object is where it says, moved as in the row before"
 EDGE_MESSAGE = "would turn the indenter's edge to the base of the gel, or below"
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 
@@ -35,7 +37,7 @@ class TrajectoryError(Exception):
 
 class PathFrame(NamedTuple):
     """One frame: its pose (4, 4); the rotation vector (3,) [rad] from the pose before it, None for the shortest
-    rotation; and how its height follows from a force, see Forced in scene.path."""
+    rotation; how its height follows from a force, see Forced in scene.path; and what a matched table wants there."""
 
     pose: Array
     turn: Array | None = None
@@ -44,6 +46,7 @@ class PathFrame(NamedTuple):
     carry: float = 0.0
     floor: float = np.nan
     below: float = np.nan
+    wanted: Wanted | None = None
 
 
 def _level(angle_deg: float) -> Array:
@@ -110,7 +113,7 @@ class Walk:
         """
         move = segment.move
         if isinstance(move, Replay):
-            yield from self._replayed(rows, (*where, "file"), move.file)
+            yield from self._replayed(rows, (*where, "file"), move)
             return
         first, first_carry, angle, turn = self.pose, self.carry, 0.0, np.zeros(3)
         pivot = np.zeros(3)  # fixed point of a rotation, relative to the indenter's origin
@@ -150,15 +153,36 @@ class Walk:
                 raise TrajectoryError((*where, "angle_deg"), wrong)
             yield PathFrame(new, turn, asked, part, self.carry, floor, below)
 
-    def _replayed(self, rows: Sequence[TimedPose], where: KeyPath, name: str) -> Iterator[PathFrame]:
+    def _replayed(self, rows: Sequence[TimedPose], where: KeyPath, move: Replay) -> Iterator[PathFrame]:
         """Frames at the rows of a table; heights that were found from a force before do not change them."""
         self.carry = 0.0
         for row in rows:
             self.pose = row.pose
-            if wrong := self._why_impossible(BASE_MESSAGE):
-                raise TrajectoryError(where, f"{name}: line {row.line}: {wrong}")
-            yield PathFrame(row.pose)
+            matched = move.match == "force" and not math.isnan(row.normal)
+            wrong = self._why_impossible(BASE_MESSAGE)
+            if wrong and not (matched and math.isfinite(self.low)):
+                raise TrajectoryError(where, f"{move.file}: line {row.line}: {wrong}")
+            if matched:
+                yield self._matched(row)
+            elif move.match == "force":
+                self.carry = 1.0
+                yield PathFrame(row.pose, carry=1.0, wanted=Wanted(row.pose, note=NO_FORCE_MESSAGE))
+            else:
+                yield PathFrame(row.pose)
         self.home = max(self.home, self.contact(self.pose))
+
+    def _matched(self, row: TimedPose) -> PathFrame:
+        """The frame of a row with a force, at the row's pose as a first guess. Without a force there is no contact: the
+        object is lifted to first touch of the untouched face, or left where it is if it does not touch."""
+        contact, wanted, self.carry = self.contact(row.pose), Wanted(row.pose, row.normal), 0.0
+        none, beside = row.normal < MIN_MATCHED_FORCE_N, math.isinf(contact)
+        if not (none or beside):
+            floor, self.carry = contact - MAX_FORCE_SEARCH_DEPTH * self.thickness, 1.0
+            below = max(row.pose[2, 3], contact) - floor
+            return PathFrame(row.pose, None, row.normal, 1.0, 1.0, floor, below, wanted)
+        self.pose = row.pose.copy()
+        self.pose[2, 3] = max(row.pose[2, 3], self.support(-row.pose[2, :3]) if beside else contact)
+        return PathFrame(self.pose, wanted=wanted if none else wanted._replace(note=BESIDE_MESSAGE))
 
     @cached_property
     def pivot(self) -> Array:
