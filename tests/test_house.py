@@ -70,12 +70,12 @@ HOMES = {
     "rich": {"report.progress"},
     "PIL": {"render.photograph", "bundle.image_file", "render.jpeg"},
     "distributed": {"batch.dask_engine"},
-    "pyarrow": {"export.lerobot"},
+    "pyarrow": {"export.lerobot", "touch.into_lerobot"},
     "OpenEXR": {"export.exr"},
     "webdataset": {"export.webdataset"},
     "zarr": {"export.zarr"},
     "numcodecs": {"export.zarr"},
-    "rerun": {"export.rerun"},
+    "rerun": {"export.rerun", "touch.into_rerun"},
 }
 # Who writes, replaces or deletes files, by what; all others go through `output_file`, `whole_folder` or `atomic_file`.
 WRITERS = {
@@ -89,12 +89,14 @@ WRITERS = {
     "batch.cuda_engine": {"os.rmdir", "unlink"},
     # to a path of `output_file.written`
     "api.frames": {"copyfile"},
+    "touch.into_robomimic": {"copyfile"},
     "report.animation": {"saving"},
     "report.bundle_figure": {"savefig"},
     # into a new folder of `whole_folder`, by packages that take a path
     "export.lerobot": {"ParquetWriter", "write_table"},
     "export.webdataset": {"ShardWriter"},
     "export.zarr": {"open_group"},
+    "touch.into_lerobot": {"ParquetWriter", "write_table", "copyfile", "os.link"},
     # into memory
     **{name: {"np.save", "np.savez"} for name in ("base.array_cache", "batch.solution_file", "export.__init__")},
     "mechanics.ftetwild": {"np.savez"},

@@ -100,6 +100,13 @@ def written_file(sink: Any, mode: str = "w", **options: Any) -> Any:
     return h5py.File(sink, mode, **options)
 
 
+def text_type() -> Any:
+    """The type of texts of any length."""
+    import h5py
+
+    return h5py.string_dtype()
+
+
 @contextmanager
 def opened(path: Path, group: str = "/") -> Iterator[Any]:
     """An open group of a file. Any exception raised inside becomes a UserError, so only reading belongs there.

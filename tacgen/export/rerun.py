@@ -55,13 +55,10 @@ def recording(bundle: Bundle, name: str) -> bytes:
     """The scene as the bytes of a recording of this name."""
     import rerun as rr
 
-    record = rr.RecordingStream("tacgen", recording_id=name, send_properties=False)
-    rr.set_log_time_enabled(False, recording=record)
-    rr.set_log_tick_enabled(False, recording=record)
-    stream = record.binary_stream()
+    record, stream = new_recording(name)
     record.log("task", rr.TextDocument(task(bundle)), static=True)
     if "/reference/rgb" in bundle:
-        record.log("camera/untouched", _image(bundle["/reference/rgb"]), static=True)
+        record.log("camera/untouched", image_of(bundle["/reference/rgb"]), static=True)
     _vectors(record, bundle)
     surface = face(bundle)
     for k in range(bundle.frames):
@@ -69,7 +66,7 @@ def recording(bundle: Bundle, name: str) -> bytes:
         if "/frames/time" in bundle:
             record.set_time("time", duration=float(bundle["/frames/time"][k]))
         if "/frames/rgb" in bundle:
-            record.log("camera", _image(bundle.frame("/frames/rgb", k)))
+            record.log("camera", image_of(bundle.frame("/frames/rgb", k)))
         for field, axes in MAP_DIMENSIONS.items():
             if f"/frames/{field}" in bundle:
                 record.log(f"maps/{field}", rr.Tensor(bundle.frame(f"/frames/{field}", k), dim_names=axes))
@@ -79,13 +76,18 @@ def recording(bundle: Bundle, name: str) -> bytes:
     return bytes(stream.read() or b"")
 
 
-def _vectors(record: Any, bundle: Bundle) -> None:
-    """Force, torque, wrench and contact mode over the frames."""
+def new_recording(name: str) -> tuple[Any, Any]:
+    """A recording without the clock's times, and the stream that gives its bytes."""
     import rerun as rr
 
-    times = [rr.TimeColumn("frame", sequence=np.arange(bundle.frames))]
-    if "/frames/time" in bundle:
-        times.append(rr.TimeColumn("time", duration=bundle["/frames/time"]))
+    record = rr.RecordingStream("tacgen", recording_id=name, send_properties=False)
+    rr.set_log_time_enabled(False, recording=record)
+    rr.set_log_tick_enabled(False, recording=record)
+    return record, record.binary_stream()
+
+
+def _vectors(record: Any, bundle: Bundle) -> None:
+    """Force, torque, wrench and contact mode over the frames."""
     series = {name: bundle[f"/frames/{name}"] for name in ("force", "torque") if f"/frames/{name}" in bundle}
     labels = {name: [f"{name[0].upper()}{axis}" for axis in AXIS_NAMES] for name in series}
     if len(series) == 2:
@@ -93,12 +95,24 @@ def _vectors(record: Any, bundle: Bundle) -> None:
         labels["wrench"] = [*labels["force"], *labels["torque"]]
     if EVENT_MODE_PATH in bundle:
         series["contact_mode"], labels["contact_mode"] = bundle[EVENT_MODE_PATH][:, None].astype(float), ["mode"]
+    timed = "/frames/time" in bundle
     for name, values in series.items():
-        record.log(name, rr.SeriesLines(names=labels[name]), static=True)
-        record.send_columns(name, indexes=times, columns=rr.Scalars.columns(scalars=values))
+        curves(record, name, values, labels[name], bundle["/frames/time"] if timed else None)
 
 
-def _image(pixels: np.ndarray) -> Any:
+def curves(record: Any, name: str, values: np.ndarray, labels: Sequence[str], time: np.ndarray | None) -> None:
+    """Numbers (n, k) over the frames as k curves, and over the times (n,) [s] where they have some."""
+    import rerun as rr
+
+    times = [rr.TimeColumn("frame", sequence=np.arange(len(values)))]
+    if time is not None:
+        times.append(rr.TimeColumn("time", duration=time))
+    record.log(name, rr.SeriesLines(names=labels), static=True)
+    record.send_columns(name, indexes=times, columns=rr.Scalars.columns(scalars=values))
+
+
+def image_of(pixels: np.ndarray) -> Any:
+    """Pixels (h, w, 3) as a PNG file that Rerun shows."""
     import rerun as rr
 
     return rr.EncodedImage(contents=encoded(pixels, "PNG"), media_type="image/png")

@@ -4,6 +4,7 @@ import json
 import textwrap
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -190,17 +191,26 @@ def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
         indenter: Indenter = parsed(Indenter, json.dumps(bundle.recipe.get("indenter")))  # type: ignore[arg-type]
     except ValueError:
         return None
+    if indenter.shape != "mesh":
+        return surface_of(indenter, size)
+    try:
+        path = kept_files.located(bundle).get(("indenter", "file")) or assets.mesh_path(indenter.file)
+        return surface_of(indenter, size, path) if assets.sha256(path) == indenter.sha256 else None
+    except UserError:
+        return None
+
+
+def surface_of(indenter: Indenter, size: float, path: Path | None = None) -> Triangles:
+    """The triangles of an indenter in its own frame, up to `size` [mm]; path: the file of a mesh, if it is elsewhere.
+
+    Raises:
+        UserError: the file of a mesh cannot be read.
+    """
     shape = analytic(indenter)
     if shape is not None:
         return surface_nets.of_shape(shape, half=size, height=size, tolerance=0.02)
     assert indenter.shape == "mesh"
-    try:
-        path = kept_files.located(bundle).get(("indenter", "file")) or assets.mesh_path(indenter.file)
-        if assets.sha256(path) != indenter.sha256:
-            return None
-        solid = mesh_file.read(path)
-    except UserError:
-        return None
+    solid = mesh_file.read(path or assets.mesh_path(indenter.file))
     solid = mesh_import.placed(solid, up=indenter.up, scale=indenter.scale, size=indenter.size_mm)
     return Triangles(solid.vertices, solid.triangles)
 
