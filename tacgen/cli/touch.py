@@ -41,6 +41,9 @@ def touch(
     model: Annotated[
         Path | None, typer.Option(help="MJCF or URDF that gives poses and shapes, where episodes hold joints.")
     ] = None,
+    columns: Annotated[
+        Path | None, typer.Option(help="YAML that says which columns are joints, poses and forces, and in what units.")
+    ] = None,
     mounts: Annotated[
         list[str] | None,
         typer.Option(
@@ -90,7 +93,7 @@ def touch(
     fingers = _fingers(sensors, mounts or [])
     rates = Rate(rate, tuple(map(_window, windows or [])))
     asked = scenes.TouchChoice(match, near_mm, rates, friction, quality, tuple(sets or ()))
-    source = sources.open_source(episodes, model, tuple(objects or ()), None)
+    source = sources.open_source(episodes, model, tuple(objects or ()), columns)
     only = _range(chosen)
     if dry_run:
         with TemporaryDirectory() as name:

@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 
 from tacgen.base.errors import UserError
+from tacgen.geometry.pose import Pose
 from tacgen.recipe import assets, checks, plan, scene_of_row
+from tacgen.recipe.checks import MAX_EDGE_PER_THICKNESS
+from tacgen.recipe.model import QUALITIES
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row, scene_seed
 from tacgen.recipe.trajectory import Placement, Segment, Start
 from tacgen.recipe.trajectory_checks import Folders
-from tacgen.replay import written_recipe
+from tacgen.replay import selection, written_recipe
 from tacgen.replay.preparation import WRITTEN_KEYS
-from tacgen.replay.selection import RecordedBody
+from tacgen.replay.selection import FACE_SPACING_MM, RecordedBody
 from tacgen.sensor.yaml_source import Tree
 from tacgen.touch import intervals
 from tacgen.touch.episode import Episode, Finger, Source
@@ -27,6 +30,10 @@ from tacgen.touch.intervals import AtFinger, Interval, Rate
 TABLE_KEY = "trajectory[0].replay.file"
 UNTOUCHED_FRAMES = 8  # pictures of an untouched sensor, which differ by the camera's noise
 UNTOUCHED_CLEARANCE_MM = 10.0  # height of a ball over the gel that it never touches [mm]
+MAX_CONTACT_UNKNOWNS = 700  # of contact at once, which are solved for as one dense system: a frame takes 0.1 s
+UNKNOWNS_PER_NODE = 3  # coordinates of a node of the face, each with an area of an edge squared [-]
+USUAL_DEPTH_MM = 0.5  # depth of a contact whose recorded pose hardly touches [mm]
+MAX_SAMPLED_POSES = 12  # of an interval, and intervals of an object, at which the area in contact is looked at
 MATCHES = ("pose", "force")
 
 
@@ -98,7 +105,7 @@ def prepare(source: Source, fingers: Sequence[Finger], asked: TouchChoice, folde
     groups: dict[tuple[str, str], list[Interval]] = {}
     for interval in found:
         groups.setdefault((interval.finger.name, interval.thing.body), []).append(interval)
-    writer = _Writer(folder, asked, overwrite)
+    writer = _Writer(folder, asked, overwrite, notes)
     plans, order, untouched = list[Plan](), list[Interval | None](), dict[str, int]()
     for finger in fingers:
         same = next((other for other in fingers if other.sensor == finger.sensor), finger)
@@ -161,6 +168,7 @@ class _Writer:
     folder: Path
     asked: TouchChoice
     overwrite: bool
+    notes: list[str]
 
     def untouched(self, finger: Finger, base: Row) -> Plan:
         """The plan of a sensor that nothing touches."""
@@ -215,8 +223,37 @@ class _Writer:
             "indenter": body.indenter.model_dump(mode="json", exclude_none=True),
             "trajectory": [{"replay": {"file": tables[0], **move}}],
         }
+        keys["quality"], area = self._quality(group, body, base)
+        if keys["quality"] != self.asked.quality:
+            self.notes.append(
+                f"{thing.body} at {finger.name}: about {area:.0f} mm^2 of the gel are touched at once: edges"
+                f" of {keys['quality']['edge_mm']:g} mm, for which labels say the expected error"
+            )
         vary = {"vary": {"method": "grid", "over": {TABLE_KEY: {"choice": tables}}}}
         return self._written(f"{_file_name(name)}.yaml", keys, vary)
+
+    def _quality(self, group: Sequence[Interval], body: RecordedBody, base: Row) -> tuple[Any, float]:
+        """The quality for a group, and the area [mm^2] that it touches at once: with edges so long that the contact has
+        about MAX_CONTACT_UNKNOWNS."""
+        asked = QUALITIES.get(self.asked.quality)
+        if asked is None or any(text.strip().startswith("quality") for text in self.asked.sets):
+            return self.asked.quality, 0.0
+        gel = scene_of_row.gel_of(base.sensor, base.solid_path if base.sensor.gel.solid else None)
+        face = selection.face_points(gel)
+        some = group[:: -(-len(group) // MAX_SAMPLED_POSES)]
+        area = 0.0
+        for one in some:
+            rows = one.log.some(np.arange(len(one.log))[:: -(-len(one.log) // MAX_SAMPLED_POSES)])
+            for pose in selection.relative(rows, one.finger.mount, body.pose):
+                gap = body.distance(Pose.of(pose).local(face))
+                if gap.min() <= self.asked.near_mm:
+                    area = max(area, FACE_SPACING_MM**2 * float((gap <= max(0.0, gap.min() + USUAL_DEPTH_MM)).sum()))
+        edge = round(float(np.sqrt(UNKNOWNS_PER_NODE * area / MAX_CONTACT_UNKNOWNS)), 2)
+        edge = min(edge, MAX_EDGE_PER_THICKNESS * gel.thickness)
+        if edge <= asked.edge_mm or self.asked.quality == "reference":
+            return self.asked.quality, area
+        dhat = float(f"{asked.dhat_mm * edge / asked.edge_mm:.3g}")
+        return {"edge_mm": edge, "dhat_mm": dhat, "spp": asked.spp}, area
 
     def _move(self, interval: Interval, body: RecordedBody) -> dict[str, Any]:
         match = {} if self.asked.match == "pose" else {"match": self.asked.match}
