@@ -78,10 +78,13 @@ class Source(Protocol):
     def episodes(self) -> Iterator[Episode]:
         """In order. Raises UserError, one line, where an episode cannot be read."""
 
+    def episode(self, number: int) -> Episode:
+        """The one at this place, from 0; raises as `episodes` does."""
+
 
 @dataclass(frozen=True)
 class Touch:
-    """What a finger felt in the n rows of an episode; forces on the gel in the sensor's frame.
+    """The touch of a finger in the n rows of an episode; forces on the gel in the sensor's frame.
 
     touched: name of the object, "" without contact; force (n, 3) [N]; torque (n, 3) [N mm] about the sensor's origin;
     markers (n, m, 2) [px], None without markers; error (n,): expected error of the force over the force [-]; correction

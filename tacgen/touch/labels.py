@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen.bundle import bundle as bundles
+from tacgen.bundle import frame_notes
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.force_error import FORCE_ERROR_PATH
 from tacgen.bundle.resume import SceneResult
 from tacgen.outputs.contact_modes import CONTACT_MODES
-from tacgen.replay import selection
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.touch import intervals
 from tacgen.touch.episode import Episode, Finger, Thing, Touch
@@ -18,6 +18,7 @@ from tacgen.touch.intervals import AtFinger, Interval
 from tacgen.touch.scenes import TouchScenes
 
 Array = np.ndarray
+CORRECTION_PATH, ASKED_FORCE_PATH = "/frames/match/correction_mm", "/frames/match/asked_force"
 SLIPPING_MODES = tuple(CONTACT_MODES.index(mode) for mode in ("sliding", "turning"))
 MIN_BORNE_SHARE = 0.5  # of an object's weight, that fingers bear when they lift it [-]
 MIN_LIFTED_MM = 1.0  # over its height in the first row, of an object that fingers lift [mm]
@@ -61,6 +62,7 @@ class _Rows:
         if "/reference/markers" in untouched:
             self.markers = np.tile(untouched["/reference/markers"], (n, 1, 1))
         self.error, self.correction, self.moved = np.zeros(n), np.zeros(n), np.zeros(n, bool)
+        self.engine = contacts.engine.copy()
         self.frames: dict[int, tuple[Bundle, int] | None] = {}  # of rows that are not untouched; None: not known
         for row in np.flatnonzero([bool(text) for text in contacts.note]):
             if not contacts.note[row].startswith("the engine"):
@@ -102,6 +104,7 @@ class _Rows:
     def _fill(self, interval: Interval, bundle: Bundle, rows: Array, place: Array) -> None:
         """Labels at rows (k,), whose places among the frames are (k,)."""
         nearest, frames = np.round(place).astype(int), np.arange(bundle.frames)
+        said = frame_notes.of(bundle)
 
         def at(values: Array) -> Array:
             flat = values.reshape(len(values), -1)
@@ -115,12 +118,14 @@ class _Rows:
         touches = np.linalg.norm(self.force[rows], axis=1) > MIN_CONTACT_FORCE_N
         self.error[rows] = np.where(touches, bundle[FORCE_ERROR_PATH][nearest], 0.0)
         self.moved[rows] = np.isin(bundle["/frames/events/mode"][nearest], SLIPPING_MODES)
-        asked = _asked(interval)[: bundle.frames]
-        self.correction[rows] = np.where(touches, at(bundle["/frames/pose"][:, 2, 3] - asked), 0.0)
+        if CORRECTION_PATH in bundle:
+            self.correction[rows] = np.where(touches, np.nan_to_num(bundle[CORRECTION_PATH][nearest]), 0.0)
+            self.engine[rows] = bundle[ASKED_FORCE_PATH][nearest]
         for row, frame, touching in zip(rows.tolist(), nearest.tolist(), touches.tolist(), strict=True):
             self.frames[row] = (bundle, frame)
+            self.note[row] = self.note[row] or said[frame][:MAX_NAMED_LENGTH]
             self.touched[row] = interval.thing.body if touching else ""
-            force = self.contacts.engine[row]
+            force = self.engine[row]
             if not touching and abs(force) > MIN_CONTACT_FORCE_N:
                 self.note[row] = self.note[row] or f"nothing touches, and the engine has {force:.3g} N"
 
@@ -128,15 +133,9 @@ class _Rows:
         """The record of all rows."""
         return Touch(
             self.contacts.finger.name, self.touched, self.force, self.torque, self.markers, self.error,
-            self.correction, self.contacts.engine, self.moved, np.zeros(len(self.touched), bool), self.note,
+            self.correction, self.engine, self.moved, np.zeros(len(self.touched), bool), self.note,
             _pictures(self.frames, self.untouched),
         )  # fmt: skip
-
-
-def _asked(interval: Interval) -> Array:
-    """z of the indenter (k,) [mm] in the sensor's frame, as it was recorded."""
-    surface = selection.placement(interval.thing.surface.pose)
-    return np.asarray(selection.relative(interval.log, interval.finger.mount, surface)[:, 2, 3])
 
 
 def _pictures(frames: Mapping[int, tuple[Bundle, int] | None], untouched: Bundle) -> Callable[[int], Array]:

@@ -92,13 +92,12 @@ def prepare(source: Source, fingers: Sequence[Finger], asked: TouchChoice, folde
     things = {name: (thing, intervals.body_of(thing)) for name, thing in source.things.items()}
     notes, episodes = list[str](), list[Episode]()
     contacts = list[tuple[AtFinger, ...]]()
-    for episode in _readable(source, notes):
-        if chosen is None or episode.index in chosen:
-            episodes.append(episode)
-            lost = ", ".join(name for name in things if not intervals.recorded(episode, name))
-            notes += [f"{episode.name}: {lost}: no pose is recorded: its touch is not known"] if lost else []
-            contacts.append(tuple(intervals.contacts(episode, finger, things, gels[finger.name], asked.near_mm)
-                                  for finger in fingers))  # fmt: skip
+    for episode in _readable(source, chosen, notes):
+        episodes.append(episode)
+        lost = ", ".join(name for name in things if not intervals.recorded(episode, name))
+        notes += [f"episode {episode.name}: {lost}: no pose is recorded: its touch is not known"] if lost else []
+        contacts.append(tuple(intervals.contacts(episode, finger, things, gels[finger.name], asked.near_mm)
+                              for finger in fingers))  # fmt: skip
     if not episodes:
         raise UserError(notes or [f"{source.path}: holds no episode of those that are asked for"])
     found = [intervals.at_rate(one, asked.rate) for each in contacts for at in each for one in at.intervals]
@@ -128,16 +127,14 @@ def prepare(source: Source, fingers: Sequence[Finger], asked: TouchChoice, folde
     )  # fmt: skip
 
 
-def _readable(source: Source, notes: list[str]) -> Iterator[Episode]:
+def _readable(source: Source, chosen: range | None, notes: list[str]) -> Iterator[Episode]:
     """The episodes of a source that can be read, and a note on each other one."""
-    each = iter(source.episodes())
-    while True:
-        try:
-            yield next(each)
-        except StopIteration:
-            return
-        except UserError as error:
-            notes.append("; ".join(error.lines))
+    for number in range(len(source)) if chosen is None else chosen:
+        if number < len(source):
+            try:
+                yield source.episode(number)
+            except UserError as error:
+                notes.append("; ".join(error.lines))
 
 
 def _recipe(finger: Finger, name: str, asked: TouchChoice, outputs: Sequence[str]) -> dict[str, Any]:

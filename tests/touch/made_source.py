@@ -71,20 +71,10 @@ class Made:
         return len(self.each)
 
     def episodes(self) -> Iterator[Episode]:
-        return _Reader(self.each)
+        return map(self.episode, range(len(self)))
 
-
-class _Reader:
-    def __init__(self, each: Sequence[Episode | str]) -> None:
-        self.left = list(each)
-
-    def __iter__(self) -> "_Reader":
-        return self
-
-    def __next__(self) -> Episode:
-        if not self.left:
-            raise StopIteration
-        one = self.left.pop(0)
+    def episode(self, number: int) -> Episode:
+        one = self.each[number]
         if isinstance(one, str):
             raise UserError(one)
         return one
