@@ -53,7 +53,10 @@ def touch(
         ),
     ] = None,
     match: Annotated[
-        str, typer.Option(help="What of the log is kept: pose; or force, the depth being what the gel needs for it.")
+        str,
+        typer.Option(
+            help="What of the log is kept: pose; force, by a depth that the gel needs for it; or grip of both fingers."
+        ),
     ] = "pose",
     near_mm: Annotated[float, typer.Option(help="Rows are solved that bring an object so near to a gel.")] = 1.0,
     rate: Annotated[

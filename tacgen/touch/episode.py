@@ -68,10 +68,17 @@ class Source(Protocol):
     """Recorded episodes. kind: lerobot, robomimic, umi or log; fps: rows in a second; things: by the name of their
     body."""
 
-    path: Path
-    kind: str
-    fps: float
-    things: Mapping[str, Thing]
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def fps(self) -> float: ...
+
+    @property
+    def things(self) -> Mapping[str, Thing]: ...
 
     def __len__(self) -> int: ...
 

@@ -37,13 +37,24 @@ class Rate:
 
 @dataclass(frozen=True)
 class Interval:
-    """Frames in which one object is near a finger, in order. The `row` of a frame of the log is that of the episode, or
-    BETWEEN_ROWS; rows: the first and last one."""
+    """Frames in which one object is near a finger, in order; in a grasp, near the `other` finger too. The `row` of a
+    frame of the log is that of the episode, or BETWEEN_ROWS."""
 
     episode: int
     finger: Finger
     thing: Thing
     log: ContactLog
+    other: Finger | None = None
+
+    @property
+    def fingers(self) -> tuple[Finger, ...]:
+        """The finger, or both of a grasp."""
+        return (self.finger,) if self.other is None else (self.finger, self.other)
+
+    @property
+    def place(self) -> str:
+        """The object and where: `box at left`."""
+        return f"{self.thing.body} at {' and '.join(finger.name for finger in self.fingers)}"
 
     @property
     def rows(self) -> tuple[int, int]:

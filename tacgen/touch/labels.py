@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -32,20 +33,24 @@ def felt(prepared: TouchScenes, results: Sequence[SceneResult]) -> list[list[Tou
         results: of all scenes of the plan, in order.
     """
     untouched = {name: bundles.read(results[scene].path) for name, scene in prepared.untouched.items()}
-    per_finger: dict[tuple[int, str], list[tuple[Interval, SceneResult]]] = {}
+    per_finger: dict[tuple[int, str], list[tuple[Interval, SceneResult, Path]]] = {}
     for scene, interval in prepared.scenes.items():
-        key = (interval.episode, interval.finger.name)
-        per_finger.setdefault(key, []).append((interval, results[scene]))
+        result = results[scene]
+        sides = (
+            [result.path] if interval.other is None else [result.path.with_name(f"{result.name}-{x}.h5") for x in "LR"]
+        )
+        for finger, path in zip(interval.fingers, sides, strict=True):
+            per_finger.setdefault((interval.episode, finger.name), []).append((interval, result, path))
     found = []
     for episode, contacts in zip(prepared.episodes, prepared.contacts, strict=True):
         each = []
         for at in contacts:
             rows = _Rows(at, len(episode), untouched[at.finger.name])
             for interval, why in prepared.refused:
-                if (interval.episode, interval.finger.name) == (episode.index, at.finger.name):
+                if interval.episode == episode.index and at.finger in interval.fingers:
                     rows.fail(interval.log.row, interval.thing.body, why)
-            for interval, result in per_finger.get((episode.index, at.finger.name), []):
-                rows.take(interval, result)
+            for interval, result, path in per_finger.get((episode.index, at.finger.name), []):
+                rows.take(interval, result, path)
             each.append(rows.record())
         found.append(_lifted(episode, each, prepared))
     return found
@@ -83,13 +88,13 @@ class _Rows:
             self.markers[row] = np.nan
         self.frames[row] = None
 
-    def take(self, interval: Interval, result: SceneResult) -> None:
+    def take(self, interval: Interval, result: SceneResult, path: Path) -> None:
         """The frames of a scene; those that it does not have are unknown."""
         log, name = interval.log, interval.thing.body
         if result.status == "failed":
             self.fail(np.arange(log.row[0], log.row[-1] + 1), name, f"not solved: {result.reason}")
             return
-        bundle = bundles.read(result.path)
+        bundle = bundles.read(path)
         done = bundle.frames
         solved, where = log.some(np.arange(done)), np.flatnonzero(log.row[:done] >= 0)
         if not len(where):

@@ -25,9 +25,9 @@ def summary(prepared: TouchScenes, fps: float) -> dict[str, Any]:
         "in_contact": int(sum(each.sum() for each in near)),
         "scenes": len(intervals),
         "frames": sum(len(one.log) for one in intervals),
-        "intervals": dict(sorted(Counter(f"{one.thing.body} at {one.finger.name}" for one in intervals).items())),
+        "intervals": dict(sorted(Counter(one.place for one in intervals).items())),
         "refused": [
-            f"episode {one.episode}, rows {one.rows[0]} to {one.rows[1]}, {one.thing.body} at {one.finger.name}: {why}"
+            f"episode {one.episode}, rows {one.rows[0]} to {one.rows[1]}, {one.place}: {why}"
             for one, why in prepared.refused
         ],
         "left_out": dict(sorted(Counter(note for each in prepared.contacts for at in each for note in at.note if note)

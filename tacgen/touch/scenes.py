@@ -6,15 +6,17 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.geometry.pose import Pose
 from tacgen.recipe import assets, checks, plan, scene_of_row
 from tacgen.recipe.checks import MAX_EDGE_PER_THICKNESS
-from tacgen.recipe.model import QUALITIES
+from tacgen.recipe.model import QUALITIES, Grasp
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row, scene_seed
 from tacgen.recipe.trajectory import Placement, Segment, Start
@@ -23,7 +25,7 @@ from tacgen.replay import selection, written_recipe
 from tacgen.replay.preparation import WRITTEN_KEYS
 from tacgen.replay.selection import FACE_SPACING_MM, RecordedBody
 from tacgen.sensor.yaml_source import Tree
-from tacgen.touch import intervals
+from tacgen.touch import grasps, intervals
 from tacgen.touch.episode import Episode, Finger, Source
 from tacgen.touch.intervals import AtFinger, Interval, Rate
 
@@ -34,14 +36,14 @@ MAX_CONTACT_UNKNOWNS = 700  # of contact at once, which are solved for as one de
 UNKNOWNS_PER_NODE = 3  # coordinates of a node of the face, each with an area of an edge squared [-]
 USUAL_DEPTH_MM = 0.5  # depth of a contact whose recorded pose hardly touches [mm]
 MAX_SAMPLED_POSES = 12  # of an interval, and intervals of an object, at which the area in contact is looked at
-MATCHES = ("pose", "force")
+MATCHES = ("pose", "force", "grip")
 
 
 @dataclass(frozen=True)
 class TouchChoice:
     """Options: which contacts are solved, and how.
 
-    match: one of MATCHES, whether the logged poses are kept or the logged force is; near_mm: as of
+    match: one of MATCHES: whether poses are kept, forces, or the grip of both fingers; near_mm: as of
     `intervals.contacts`; friction between objects and gels [-]; quality: as in a recipe; sets: overrides of every
     recipe, as on the command line.
     """
@@ -100,11 +102,21 @@ def prepare(source: Source, fingers: Sequence[Finger], asked: TouchChoice, folde
                               for finger in fingers))  # fmt: skip
     if not episodes:
         raise UserError(notes or [f"{source.path}: holds no episode of those that are asked for"])
-    found = [intervals.at_rate(one, asked.rate) for each in contacts for at in each for one in at.intervals]
-    groups: dict[tuple[str, str], list[Interval]] = {}
-    for interval in found:
-        groups.setdefault((interval.finger.name, interval.thing.body), []).append(interval)
-    writer = _Writer(folder, asked, overwrite, notes)
+    found, refused = [one for each in contacts for at in each for one in at.intervals], list[tuple[Interval, str]]()
+    known = {episode.index: (episode, each) for episode, each in zip(episodes, contacts, strict=True)}
+    if asked.match == "grip":
+        if len(fingers) != 2:
+            raise UserError(f"--match grip: needs two fingers, and {len(fingers)} are given by --sensor")
+        found = []
+        for episode, each in known.values():
+            held, wrong = grasps.paired(episode, each)
+            found += held
+            refused += wrong
+    groups: dict[tuple[Any, ...], list[Interval]] = {}
+    for interval in (intervals.at_rate(one, asked.rate) for one in found):
+        down = known[interval.episode][0].gravity if interval.other else ()
+        groups.setdefault((interval.finger.name, interval.thing.body, down), []).append(interval)
+    writer = _Writer(folder, asked, overwrite, notes, known)
     plans, order, untouched = list[Plan](), list[Interval | None](), dict[str, int]()
     for finger in fingers:
         same = next((other for other in fingers if other.sensor == finger.sensor), finger)
@@ -113,8 +125,7 @@ def prepare(source: Source, fingers: Sequence[Finger], asked: TouchChoice, folde
             order.append(None)
             untouched[finger.name] = len(order) - 1
         untouched[finger.name] = untouched[same.name]
-    refused = list[tuple[Interval, str]]()
-    for (name, _), group in groups.items():
+    for (name, *_), group in groups.items():
         fine, wrong = writer.possible(group, things[group[0].thing.body][1], bases[name])
         refused += wrong
         if fine:
@@ -139,12 +150,16 @@ def _readable(source: Source, chosen: range | None, notes: list[str]) -> Iterato
 
 def _recipe(finger: Finger, name: str, asked: TouchChoice, outputs: Sequence[str]) -> dict[str, Any]:
     """The keys that all recipes of a finger have."""
-    known = re.fullmatch(r"[\w-]+", finger.sensor) and finger.sensor in assets.list_sensors()
-    sensor = finger.sensor if known else str(assets.sensor_path(finger.sensor).resolve())
     return {
-        "tacgen": 1, "name": re.sub(r"[^A-Za-z0-9._-]+", "-", f"touch-{name}")[:100], "sensor": sensor,
+        "tacgen": 1, "name": re.sub(r"[^A-Za-z0-9._-]+", "-", f"touch-{name}")[:100], "sensor": _sensor(finger),
         "contact": {"friction": asked.friction}, "outputs": list(outputs), "quality": asked.quality, "may_miss": True,
     }  # fmt: skip
+
+
+def _sensor(finger: Finger) -> str:
+    """The sensor as a recipe in any folder names it."""
+    shipped = finger.sensor in assets.list_sensors()
+    return finger.sensor if shipped else str(assets.sensor_path(finger.sensor).resolve())
 
 
 def _base(finger: Finger, asked: TouchChoice) -> Row:
@@ -166,6 +181,7 @@ class _Writer:
     asked: TouchChoice
     overwrite: bool
     notes: list[str]
+    episodes: Mapping[int, tuple[Episode, tuple[AtFinger, ...]]]
 
     def untouched(self, finger: Finger, base: Row) -> Plan:
         """The plan of a sensor that nothing touches."""
@@ -194,25 +210,36 @@ class _Writer:
                 few = ok
             if few:
                 fine.append(_part(interval, 0, few))
-                self._write_table(fine[-1])
+                text = self._text(fine[-1])
+                written_recipe.write({_table(interval): text}, self.folder, (), self.overwrite)
         return fine, wrong
 
     def _problem(self, interval: Interval, body: RecordedBody, base: Row) -> str:
         """Why an interval cannot be solved, "" if it can."""
-        self._write_table(interval)
-        move = Segment.model_validate({"replay": {"file": _table(interval), **self._move(interval, body)}})
-        more = {"trajectory": (move,), "indenter": body.indenter, "start": Start()}
-        folders: Folders = {("trajectory", 0, "replay", "file"): self.folder}
-        problems = checks.recipe_problems(base.recipe.model_copy(update=more), base.sensor, folders)
+        with TemporaryDirectory() as name:
+            path = Path(name) / _table(interval)
+            output_file.put(path, self._text(interval).encode())
+            move = Segment.model_validate({"replay": {"file": path.name, **self._move(interval, body)}})
+            held = Grasp.model_validate(self._grasp(interval)) if interval.other else None
+            more = {"trajectory": (move,), "indenter": body.indenter, "start": Start(), "grasp": held}
+            folders: Folders = {("trajectory", 0, "replay", "file"): path.parent}
+            problems = checks.recipe_problems(base.recipe.model_copy(update=more), base.sensor, folders)
         return problems[0].message.removeprefix(f"{_table(interval)}: ") if problems else ""
 
-    def _write_table(self, interval: Interval) -> None:
-        written_recipe.write({_table(interval): written_recipe.table(interval.log)}, self.folder, (), True)
+    def _text(self, interval: Interval) -> str:
+        if interval.other is None:
+            return written_recipe.table(interval.log)
+        return grasps.table(interval, *self.episodes[interval.episode])
+
+    def _grasp(self, interval: Interval) -> dict[str, Any]:
+        assert interval.other is not None
+        gravity = self.episodes[interval.episode][0].gravity
+        return grasps.block(interval, gravity, _sensor(interval.other))
 
     def group(self, group: Sequence[Interval], body: RecordedBody, base: Row) -> Plan:
         """The plan of the intervals of one finger and object, in order."""
-        finger, thing, tables = group[0].finger, group[0].thing, [_table(one) for one in group]
-        name = f"{finger.name}-{thing.body}"
+        finger, tables = group[0].finger, [_table(one) for one in group]
+        name = tables[0].removesuffix(".csv")
         move = {key: value.model_dump(mode="json") if isinstance(value, Placement) else value
                 for key, value in self._move(group[0], body).items()}  # fmt: skip
         keys = _recipe(finger, name, self.asked, _outputs(base))
@@ -223,11 +250,13 @@ class _Writer:
         keys["quality"], area = self._quality(group, body, base)
         if keys["quality"] != self.asked.quality:
             self.notes.append(
-                f"{thing.body} at {finger.name}: about {area:.0f} mm^2 of the gel are touched at once: edges"
+                f"{group[0].place}: about {area:.0f} mm^2 of the gel are touched at once: edges"
                 f" of {keys['quality']['edge_mm']:g} mm, for which labels say the expected error"
             )
+        if group[0].other is not None:
+            keys["grasp"] = self._grasp(group[0])
         vary = {"vary": {"method": "grid", "over": {TABLE_KEY: {"choice": tables}}}}
-        return self._written(f"{_file_name(name)}.yaml", keys, vary)
+        return self._written(f"{name}.yaml", keys, vary)
 
     def _quality(self, group: Sequence[Interval], body: RecordedBody, base: Row) -> tuple[Any, float]:
         """The quality for a group, and the area [mm^2] that it touches at once: with edges so long that the contact has
@@ -253,6 +282,8 @@ class _Writer:
         return {"edge_mm": edge, "dhat_mm": dhat, "spp": asked.spp}, area
 
     def _move(self, interval: Interval, body: RecordedBody) -> dict[str, Any]:
+        if interval.other is not None:
+            return {"match": "grip"}
         match = {} if self.asked.match == "pose" else {"match": self.asked.match}
         return {"sensor_pose": interval.finger.mount, "indenter_pose": body.pose, **match}
 
@@ -278,7 +309,8 @@ def _file_name(name: str) -> str:
 
 def _table(interval: Interval) -> str:
     first, _ = interval.rows
-    return _file_name(f"{interval.finger.name}-{interval.thing.body}") + f"-{interval.episode:06d}-{first:06d}.csv"
+    name = "-".join([*(finger.name for finger in interval.fingers), interval.thing.body])
+    return _file_name(name) + f"-{interval.episode:06d}-{first:06d}.csv"
 
 
 def joined(plans: Sequence[Plan], name: str) -> Plan:
