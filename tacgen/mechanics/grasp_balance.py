@@ -145,16 +145,17 @@ class Frame:
         For a held object Newton's method starts from the pose carried along by the gripper, where the gel sticks: where
         the whole contact slides, the tangent is no guide.
         """
+        stood = mode == Mode.standing
         table, carried, width = self._height(self.last.pose), self.last.pose, self._first_width()
         if self.last.grip == 0 and not np.array_equal(self.gripper, self.before):  # it stays, or lies on the table
-            mode, carried = Mode.standing, np.linalg.inv(self.gripper) @ self.before @ self.last.pose
+            mode, stood, carried = Mode.standing, True, np.linalg.inv(self.gripper) @ self.before @ self.last.pose
         lowest = table if mode == Mode.standing else min(table, self.grasp.fall)
         if mode == Mode.held or (mode == Mode.standing and lowest > 0):
             trial = self._newton(self._trial(carried, width), Mode.held, lowest)
             if trial is not None:
                 return trial, Mode.held
         mode = Mode.standing if lowest == table else Mode.falling
-        trial = self._newton(self._trial(self._lowered(carried, lowest, mode), width), mode)
+        trial = self._newton(self._trial(self._lowered(carried, lowest, stood), width), mode)
         assert trial is not None
         if self.unborne(trial) >= -self.balanced * self._least(trial):
             return trial, mode
@@ -196,10 +197,10 @@ class Frame:
         """How far the centre of mass is below where the gripper carried it [mm]."""
         return float((self._centre(pose) - self._centre(self.last.pose)) @ self.down)
 
-    def _lowered(self, pose: Array, lowest: float, mode: Mode) -> Array:
-        """`pose` lowered to `lowest`; on a table, with the rotation that it had there."""
+    def _lowered(self, pose: Array, lowest: float, stood: bool) -> Array:
+        """`pose` lowered to `lowest`; if it stood on the table, with the rotation that it had there."""
         out = pose.copy()
-        if mode == Mode.standing:
+        if stood:
             out[:3, :3] = self.gripper[:3, :3].T @ self.before[:3, :3] @ self.last.pose[:3, :3]
         out[:3, 3] += self._centre(pose) - self._centre(out) + (lowest - self._sunk(pose)) * self.down
         return out

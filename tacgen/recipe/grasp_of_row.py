@@ -34,16 +34,17 @@ def build(row: Row) -> GraspScene:
     height = asked.height_mm or shape.support(np.array([0.0, 0.0, 1.0])) / 2
     rows = row.replayed(0) if recipe.match else ()
     begin = rows[0].pose if rows else np.eye(4)
-    if rows and rows[0].held is not None:
-        start, opening = centred(shape, gels, np.linalg.inv(begin) @ rows[0].held)
+    placed = np.linalg.inv(begin) @ rows[0].held if rows and rows[0].held is not None else None
+    if placed is not None:
+        start, opening = centred(shape, gels, placed)
         where = "the poses of gripper and object in the table's first row"
-        if (off := abs(start[0, 3] - (np.linalg.inv(begin) @ rows[0].held)[0, 3])) > opening / 2:
-            raise UserError(f"grasp: the object is {off:.3g} mm from the middle of the fingers: check {where}")
     else:
         start, opening = first_touch(shape, gels, height, asked.y_mm, float(np.radians(asked.yaw_deg)))
         where = "height_mm and y_mm"
     if not np.isfinite(opening):
         raise UserError(f"grasp: nothing of the object is between the fingers: check {where}")
+    if placed is not None and (off := abs(start[0, 3] - placed[0, 3])) > opening / 2:
+        raise UserError(f"grasp: the object is {off:.3g} mm from the middle of the fingers: check {where}")
     down = np.array(asked.gravity) / np.linalg.norm(asked.gravity)
     thin = min(gel.thickness for gel in gels)
     gripper, width, force, part, wanted = _path(row, down, begin, opening, opening - 2 * thin)

@@ -97,7 +97,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             found = replayed(replay, folders.get(where))
         except UserError as error:
             raise TrajectoryError(where, *error.lines) from None
-        if why := matching.lacks(found, replay):
+        if replay.match == "force" and (why := matching.lacks(found, replay)):
             raise TrajectoryError(("trajectory", i, "replay", "match"), why)
         return found
 

@@ -49,9 +49,8 @@ def test_the_table_says_what_the_engine_takes(feature: str, tmp_path: Path) -> N
     recipe = {"tacgen": 1, "name": "one", "sensor": "gelsight_mini", "indenter": {"shape": "sphere", "radius_mm": 4}}
     recipe |= {"trajectory": PRESS, "outputs": ["force"], "quality": "draft"}
     trimesh.creation.icosphere(subdivisions=4, radius=3).export(tmp_path / "ball.stl")
-    (tmp_path / "table.csv").write_text(
-        "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x,force_y,force_z\n0,0,0,0,1,0,0,0,0,0,-1"
-    )
+    titles = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x,force_y,force_z"
+    (tmp_path / "table.csv").write_text(f"{titles}\n0,0,0,0,1,0,0,0,0,0,-1")
     (tmp_path / "one.yaml").write_text(json.dumps(recipe | FEATURES[feature]))
     (row,) = plan.load(tmp_path / "one.yaml").rows
     scene = cuda_engine.scene_of(row)
