@@ -4,11 +4,27 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 
-from tacgen.report.animation import ANIMATION_WRITERS
+from tacgen.base import output_file
+from tacgen.base.errors import UserError
+from tacgen.report import animation
+from tacgen.touch import into_lerobot
 from tacgen.touch.episode import Episode, Source, Touch
 
-WRITER_OF_SUFFIX = {".rrd": "into_rerun", **dict.fromkeys(ANIMATION_WRITERS, "film")}
+WRITER_OF_SUFFIX = {".rrd": "into_rerun", **dict.fromkeys(animation.ANIMATION_WRITERS, "film")}
 WRITER_OF_KIND = {"lerobot": "into_lerobot", "robomimic": "into_robomimic"}
+
+
+def refuse(source: Source, episodes: int, out: Path, *, overwrite: bool) -> None:
+    """UserError if touch of so many episodes cannot be written to `out`; to be called before long work."""
+    name = _writer(source, out)
+    if out.suffix.lower() in WRITER_OF_SUFFIX and episodes > 1:
+        raise UserError(f"{out}: holds one episode, these are {episodes}: choose one by --episodes, or name a folder")
+    if name == "film":
+        animation.writer_for(out, 1)
+    if name == "into_lerobot":
+        into_lerobot.refuse(source, out, overwrite=overwrite)
+    elif name == "into_robomimic" or out.suffix.lower() in WRITER_OF_SUFFIX:
+        output_file.refuse(out, [source.path], overwrite=overwrite)
 
 
 def write(
@@ -18,6 +34,10 @@ def write(
 
     Arguments, result and exceptions as of `into_lerobot.write`.
     """
-    name = WRITER_OF_SUFFIX.get(out.suffix.lower()) or WRITER_OF_KIND.get(source.kind, "into_rerun")
-    written: Callable[..., list[Path]] = import_module(f"tacgen.touch.{name}").write
+    written: Callable[..., list[Path]] = import_module(f"tacgen.touch.{_writer(source, out)}").write
     return written(source, episodes, touches, out, overwrite=overwrite)
+
+
+def _writer(source: Source, out: Path) -> str:
+    """The module that writes."""
+    return WRITER_OF_SUFFIX.get(out.suffix.lower()) or WRITER_OF_KIND.get(source.kind, "into_rerun")

@@ -11,8 +11,8 @@ from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.report.force_figure import OUR_COLOUR, THEIR_COLOUR
 from tacgen.report.sheet import Page
-from tacgen.touch.label_columns import by_episode
 from tacgen.touch.episode import Array, Episode, Source, Touch
+from tacgen.touch.label_columns import by_episode, file_name, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +35,7 @@ def write(
     pairs = [*by_episode(episodes, touches).values()]
     if out.suffix and len(pairs) > 1:
         raise UserError(f"{out}: a film shows one episode, these are {len(pairs)}: choose one, or name a folder")
-    made = [out if out.suffix else out / f"{_file_name(episode)}.webp" for episode, _ in pairs]
+    made = [out if out.suffix else out / f"{file_name(episode)}.webp" for episode, _ in pairs]
     for (episode, fingers), path in zip(pairs, made, strict=True):
         step = -(-len(episode) // MAX_FILM_FRAMES)
         rows = np.arange(0, len(episode), step)
@@ -46,17 +46,13 @@ def write(
     return made
 
 
-def _file_name(episode: Episode) -> str:
-    return episode.name.strip("/").replace("/", "-") or f"episode-{episode.index:05d}"
-
-
 def _draw(episode: Episode, fingers: Sequence[Touch], rows: Array, writer: object, out: Path) -> None:
     """One frame for each of `rows`."""
     time = episode.time - episode.time[0]
     shape = fingers[0].image(0).shape
     tall, wide = PICTURE_IN * shape[0] / shape[1], len(fingers) * (PICTURE_IN + BETWEEN_IN) - BETWEEN_IN
     sheet = Page(2 * SIDE_IN + wide, HEAD_IN + tall + ABOVE_PLOT_IN + PLOT_IN + FOOT_IN)
-    title = sheet.figure.suptitle("", x=SIDE_IN / sheet.width, y=0.99, ha="left", va="top", fontsize=9)
+    heading = sheet.figure.suptitle("", x=SIDE_IN / sheet.width, y=0.99, ha="left", va="top", fontsize=9)
     across = range(len(fingers))
     lefts = [SIDE_IN + k * (PICTURE_IN + BETWEEN_IN) for k in across]
     pictures = [_picture(sheet.axes(x, HEAD_IN, PICTURE_IN, tall), f) for x, f in zip(lefts, fingers, strict=True)]
@@ -71,7 +67,7 @@ def _draw(episode: Episode, fingers: Sequence[Touch], rows: Array, writer: objec
     def show(k: int) -> None:
         row = int(rows[k])
         notes = [f"{f.finger}: {f.note[row]}" for f in fingers if f.note[row]]
-        title.set_text("\n".join([f"{episode.name}, {time[row]:.2f} s", *notes]))
+        heading.set_text("\n".join([f"{title(episode)}, {time[row]:.2f} s", *notes]))
         for picture, cursor, finger in zip(pictures, cursors, fingers, strict=True):
             picture.set_data(finger.image(row))
             picture.axes.set_title(_state(finger, row), fontsize=8, pad=3)

@@ -33,8 +33,8 @@ from tacgen.base.output_file import add
 from tacgen.bundle import whole_folder
 from tacgen.bundle.image_file import encoded
 from tacgen.export.lerobot import DATA_PATH, FILES_PER_FOLDER, PARQUET_FILE_BYTES, TACTILE_PREFIX, statistics
-from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 from tacgen.touch.episode import Array, Episode, Source, Touch
+from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 
 FOLDER_KIND = "touch for LeRobot"  # of `whole_folder`
 MAX_JSON_BYTES, MAX_TABLE_BYTES = 2**27, 2**36  # largest files that are read [bytes]
@@ -58,12 +58,12 @@ def write(
     Raises:
         UserError: not such a data set, touch is in it, its rows are not those of the episodes, or `out` is in the way.
     """
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise UserError("touch in a LeRobot data set needs PyArrow: pip install 'tacgen[lerobot]'") from None
+    refuse(source, out, overwrite=overwrite)
     felt, given, info = by_episode(episodes, touches), source.path.resolve(), _info(source.path)
-    where = out.resolve()
-    if where.is_relative_to(given) or given.is_relative_to(where):
-        raise UserError(f"{out}: the copy must be outside of the data set {source.path}")
-    if not overwrite and out.is_dir() and any(out.iterdir()):
-        raise UserError(f"{out}: is there already; --overwrite replaces it")
     every = [touch for fingers in touches for touch in fingers]
     texts = {"object": distinct(text for touch in every for text in touch.touched)}
     unfelt = [LEFT_OUT_NOTE] if len(felt) < info["total_episodes"] else []
@@ -82,6 +82,15 @@ def write(
             add(folder / "meta" / f"{name}.json", json.dumps(content, indent=4, ensure_ascii=False) + "\n")
         made = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     return [out / path for path in made]
+
+
+def refuse(source: Source, out: Path, *, overwrite: bool) -> None:
+    """UserError if the copy cannot be in the folder `out`; to be called before long work, too."""
+    given, where = source.path.resolve(), out.resolve()
+    if where.is_relative_to(given) or given.is_relative_to(where):
+        raise UserError(f"{out}: the copy must be outside of the data set {source.path}")
+    if not overwrite and out.is_dir() and any(out.iterdir()):
+        raise UserError(f"{out}: is there already; --overwrite replaces it")
 
 
 def _info(path: Path) -> dict[str, Any]:

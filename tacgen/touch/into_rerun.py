@@ -21,8 +21,8 @@ from tacgen.base.errors import UserError
 from tacgen.export.rerun import SUFFIX, curves, image_of, new_recording
 from tacgen.recipe.indenters import Indenter
 from tacgen.report.field_figure import surface_of
-from tacgen.touch.label_columns import by_episode
 from tacgen.touch.episode import Episode, Source, Thing, Touch
+from tacgen.touch.label_columns import by_episode, file_name, title
 
 MAX_SHOWN_MM = 150.0  # of shapes without an end
 AXIS_LENGTH_MM = 20.0  # of the axes of a body [mm]
@@ -45,8 +45,7 @@ def write(
         raise UserError(f"{out}: holds one episode, these are {len(pairs)}: choose one, or name a folder")
     made = []
     for episode, fingers in pairs:
-        name = episode.name.strip("/").replace("/", "-")
-        made.append(out if out.suffix == SUFFIX else out / f"{name}{SUFFIX}")
+        made.append(out if out.suffix == SUFFIX else out / f"{file_name(episode)}{SUFFIX}")
         output_file.refuse(made[-1], [source.path], overwrite=overwrite)
         output_file.put(
             made[-1], recording(source, episode, fingers), [source.path], overwrite=overwrite
@@ -58,7 +57,7 @@ def recording(source: Source, episode: Episode, fingers: Sequence[Touch]) -> byt
     """The episode as the bytes of a recording."""
     import rerun as rr
 
-    record, stream = new_recording(episode.name)
+    record, stream = new_recording(title(episode))
     record.send_blueprint(_blueprint(fingers))
     for body in episode.bodies:
         if body in source.things:

@@ -24,8 +24,8 @@ import numpy as np
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.hdf5_file import item_at, open_file, text_type, written_file
-from tacgen.touch.label_columns import by_episode, columns
 from tacgen.touch.episode import Array, Episode, Source, Touch
+from tacgen.touch.label_columns import by_episode, columns
 
 GZIP_LEVEL = 4  # of the pictures, as a middle between size and time
 

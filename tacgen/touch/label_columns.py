@@ -1,5 +1,6 @@
 """The labels of a finger as columns, one row for each row of an episode: what all copies with touch hold."""
 
+import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -52,6 +53,16 @@ def by_episode(
         if wrong := [touch.finger for touch in felt if len(touch.touched) != len(episode)]:
             raise UserError(f"{episode.name}: has {len(episode)} rows, the touch of {wrong[0]} has another number")
     return {episode.index: (episode, felt) for episode, felt in pairs}
+
+
+def title(episode: Episode) -> str:
+    """The name of an episode, `episode 3` where that is a number."""
+    return f"episode {episode.name}" if episode.name.isdecimal() else episode.name or f"episode {episode.index}"
+
+
+def file_name(episode: Episode) -> str:
+    """The title of an episode as the name of a file."""
+    return re.sub(r"[^\w.-]+", "-", title(episode)).strip("-.") or f"episode-{episode.index}"
 
 
 def _kind(touch: Touch) -> tuple[tuple[int, ...], int]:

@@ -49,6 +49,7 @@ def test_every_row_has_the_values_of_both_fingers(source: Recorded, tmp_path: Pa
     assert info["features"][f"{PREFIX}image"]["shape"] == list(IMAGE)
     assert info["features"][f"{PREFIX}markers"]["shape"] == [2 * MARKERS]
     texts = {name: info["features"][f"{PREFIX}{name}"]["info"]["texts"] for name in ("object", "note")}
+    assert texts == {"object": ["", "cube"], "note": ["", "two objects touch at once"]}
     for row in rows:
         for touch in both()[row["episode_index"]]:
             k, prefix = row["frame_index"], f"observation.tactile.{touch.finger}."

@@ -13,6 +13,7 @@ from PIL import Image
 
 from tacgen.base.errors import UserError
 from tacgen.touch import copies, film, into_rerun, into_robomimic
+from tacgen.touch.label_columns import file_name
 
 
 def test_demonstrations_get_touch_and_keep_all_else(tmp_path: Path) -> None:
@@ -126,7 +127,24 @@ def test_the_name_of_the_output_says_what_is_written(tmp_path: Path) -> None:
         copies.write(source, source.held[:1], both(1), tmp_path / name, overwrite=False)
     assert (tmp_path / "out.hdf5").read_bytes()[:4] == b"\x89HDF"
     assert (tmp_path / "out.gif").read_bytes()[:3] == b"GIF"
+    for name in ("out.hdf5", "out.gif"):
+        with pytest.raises(UserError, match="is there already; --overwrite replaces it"):
+            copies.refuse(source, 1, tmp_path / name, overwrite=False)
+        copies.refuse(source, 1, tmp_path / name, overwrite=True)
+    with pytest.raises(UserError, match=r"two\.rrd: holds one episode, these are 2: choose one by --episodes"):
+        copies.refuse(source, 2, tmp_path / "two.rrd", overwrite=True)
+    with pytest.raises(UserError, match="the copy must be outside of the data set"):
+        copies.refuse(recorded(tmp_path), 2, tmp_path / "in", overwrite=True)
     needs("rerun")
     copies.write(source, source.held[:1], both(1), tmp_path / "out.rrd", overwrite=False)
     copies.write(replace(source, kind="umi"), source.held, both(), tmp_path / "folder", overwrite=False)
     assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == ["demo_0.rrd", "demo_1.rrd"]
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("7", "episode-7"), ("demo_3", "demo_3"), ("data/demo 3", "data-demo-3"), ("../x", "x"), ("", "episode-0")],
+)
+def test_a_file_is_named_after_its_episode(name: str, file: str, tmp_path: Path) -> None:
+    source = recorded(tmp_path / "given")
+    assert file_name(replace(source.held[0], name=name)) == file
