@@ -28,7 +28,9 @@ WALL, RISE, PLAY = 0.003, 0.006, 0.0007  # walls of a stand: thickness, height, 
 HOME = 0.1  # height of the pads' centre above the grasp, where an episode begins and ends [m]
 LIFT = 0.035  # [m]
 HAND = ("hand_x", "hand_y", "hand_z", "hand_yaw")
+HAND_JOINTS = (("slide", "1 0 0", 150), ("slide", "0 1 0", 150), ("slide", "0 0 1", 150), ("hinge", "0 0 1", 2))
 JOINTS = (*HAND, "left_finger", "right_finger")
+PASSES = 'contype="0" conaffinity="0"'  # of geoms that touch nothing
 FREE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 PADS = ("left_pad", "right_pad")
 # phases of an episode and how long they take [s]
@@ -54,7 +56,9 @@ def _nut() -> str:
         turn = np.radians(60 * k)
         y, z = 0.010 * np.sin(turn), 0.010 * np.cos(turn)
         quat = f"{np.cos(turn / 2):.9f} {-np.sin(turn / 2):.9f} 0 0"
-        parts.append(f'<geom class="thing" type="box" size="0.005 0.006928 0.002" pos="0 {y:.9f} {z:.9f}" quat="{quat}"/>')
+        parts.append(
+            f'<geom class="thing" type="box" size="0.005 0.006928 0.002" pos="0 {y:.9f} {z:.9f}" quat="{quat}"/>'
+        )
     return "".join(parts)
 
 
@@ -94,22 +98,18 @@ def model_text() -> str:
         f'<inertial pos="0 0 0" mass="{kind.mass}" diaginertia="1e-5 1e-5 1e-5"/>{kind.geoms}</body>'
         for kind, y in places
     )
-    stands = "".join(
-        _stand(0.0, y, kind.foot) + _stand(STANDS, y, (kind.foot[1], kind.foot[0])) for kind, y in places
-    )
+    stands = "".join(_stand(0.0, y, kind.foot) + _stand(STANDS, y, (kind.foot[1], kind.foot[0])) for kind, y in places)
     fingers = "".join(
         f'<body name="{side}_finger" pos="{-0.03 * sign} 0 0" gravcomp="1">'
         f'<joint name="{side}_finger" type="slide" axis="{sign} 0 0" range="0 0.03" damping="5"/>'
-        f'<geom type="box" size="0.003 0.011 0.02" pos="{-0.007 * sign} 0 0.02" mass="0.05" contype="0" conaffinity="0"/>'
+        f'<geom type="box" size="0.003 0.011 0.02" pos="{-0.007 * sign} 0 0.02" mass="0.05" {PASSES}/>'
         f'<body name="{side}_pad" gravcomp="1" xyaxes="0 {-sign} 0 0 0 -1">'
         '<geom class="pad" type="box" size="0.012625 0.010375 0.002" pos="0 0 -0.002" mass="0.05"/></body></body>'
         for side, sign in (("left", 1), ("right", -1))
     )
     hand = "".join(
         f'<joint name="{name}" type="{kind}" axis="{axis}" damping="{damping}"/>'
-        for name, kind, axis, damping in zip(
-            HAND, ("slide", "slide", "slide", "hinge"), ("1 0 0", "0 1 0", "0 0 1", "0 0 1"), (150, 150, 150, 2), strict=True
-        )
+        for name, (kind, axis, damping) in zip(HAND, HAND_JOINTS, strict=True)
     )
     servos = "".join(f'<position name="{n}" joint="{n}" kp="{8 if "yaw" in n else 8000}"/>' for n in HAND)
     motors = "".join(f'<motor name="{name}" joint="{name}"/>' for name in JOINTS[4:])
@@ -117,7 +117,9 @@ def model_text() -> str:
   <option timestep="{STEP}" cone="elliptic" impratio="20" integrator="implicitfast"/>
   <visual><quality shadowsize="0" offsamples="0"/></visual>
   <default>
-    <default class="pad"><geom friction="0.8 0.01 0.0001" condim="4" solref="0.005 1" priority="1" rgba=".2 .2 .2 1"/></default>
+    <default class="pad">
+      <geom friction="0.8 0.01 0.0001" condim="4" solref="0.005 1" priority="1" rgba=".2 .2 .2 1"/>
+    </default>
     <default class="thing"><geom friction="0.5 0.01 0.0001" condim="4" solref="0.005 1" rgba=".8 .6 .2 1"/></default>
   </default>
   <asset>
@@ -130,7 +132,7 @@ def model_text() -> str:
     <geom name="table" type="plane" size="1 1 0.1"/>
     {stands}{things}
     <body name="hand" gravcomp="1">{hand}
-      <geom type="box" size="0.04 0.011 0.01" pos="0 0 0.05" mass="0.4" contype="0" conaffinity="0"/>{fingers}
+      <geom type="box" size="0.04 0.011 0.01" pos="0 0 0.05" mass="0.4" {PASSES}/>{fingers}
     </body>
   </worldbody>
   <equality><joint joint1="left_finger" joint2="right_finger" polycoef="0 1 0 0 0" solref="0.004 1"/></equality>
@@ -140,7 +142,7 @@ def model_text() -> str:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordedGrasp:
     """The n rows of an episode: time (n,) [s], states of the model, commands (n, 6), forces of the object on both pads
     (n, 6) [N] in the world, pictures (n, PICTURE, PICTURE, 3)."""
 
@@ -157,14 +159,15 @@ class Recording:
         return f"put the {self.kind.name} into the other stand"
 
 
-def recorded(model: Any, number: int, seed: int, picture: Callable[[Any], Array]) -> Recording:
+def recorded(model: Any, number: int, seed: int, picture: Callable[[Any], Array]) -> RecordedGrasp:
     """An episode of the object number % 5; its grip, and where it is grasped, are drawn by seed and number."""
     import mujoco
 
     kind, rng = KINDS[number % len(KINDS)], np.random.default_rng([seed, number])
     grip, aside, height = rng.uniform(4.0, 8.0), rng.uniform(-0.001, 0.001), rng.uniform(0.0, 0.0015)
     y, low = STANDS * (number % len(KINDS) - 2) + aside, kind.grasp + height
-    data, rows, drawn = mujoco.MjData(model), [], []
+    rows: list[list[Array]] = []
+    data, drawn = mujoco.MjData(model), []
     data.qpos[-6:], data.ctrl[:4] = (0, y, low + HOME, 0, 0, 0), (0, y, low + HOME, 0)
     for step in range(round(sum(PHASES.values()) / STEP)):
         data.ctrl[:] = _command(step * STEP, y, low, grip)
@@ -175,7 +178,7 @@ def recorded(model: Any, number: int, seed: int, picture: Callable[[Any], Array]
             drawn.append(picture(data))
         mujoco.mj_step(model, data)
     qpos, qvel, commands, forces = (np.array(part) for part in zip(*rows, strict=True))
-    return Recording(kind, np.arange(len(rows)) / FPS, qpos, qvel, commands, forces, np.array(drawn))
+    return RecordedGrasp(kind, np.arange(len(rows)) / FPS, qpos, qvel, commands, forces, np.array(drawn))
 
 
 def _command(time: float, y: float, low: float, grip: float) -> tuple[float, ...]:
@@ -223,7 +226,7 @@ def _vector(names: list[str]) -> dict[str, Any]:
     return {"dtype": "float32", "shape": (len(names),), "names": names}
 
 
-def write_lerobot(recordings: Iterator[Recording], model: Any, folder: Path) -> Iterator[Recording]:
+def write_lerobot(recordings: Iterator[RecordedGrasp], model: Any, folder: Path) -> Iterator[RecordedGrasp]:
     """Write a LeRobot data set by its own code, handing on each recording."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -252,7 +255,7 @@ def write_lerobot(recordings: Iterator[Recording], model: Any, folder: Path) -> 
     made.finalize()
 
 
-def write_robomimic(recordings: list[Recording], text: str, path: Path) -> None:
+def write_robomimic(recordings: list[RecordedGrasp], path: Path) -> None:
     """Write states, actions and pictures as robosuite's collector and robomimic's converter do."""
     import h5py
 
@@ -262,7 +265,7 @@ def write_robomimic(recordings: list[Recording], text: str, path: Path) -> None:
         data.attrs["env_args"], data.attrs["total"] = json.dumps(about), sum(len(one.time) for one in recordings)
         for number, one in enumerate(recordings):
             demo = data.create_group(f"demo_{number}")
-            demo.attrs["model_file"], demo.attrs["num_samples"] = text, len(one.time)
+            demo.attrs["model_file"], demo.attrs["num_samples"] = model_text(), len(one.time)
             demo["states"] = np.column_stack([one.time, one.qpos, one.qvel])
             demo["actions"] = one.commands
             demo["obs/side_image"] = one.pictures
@@ -271,23 +274,27 @@ def write_robomimic(recordings: list[Recording], text: str, path: Path) -> None:
         file["mask/train"], file["mask/valid"] = names[: -(len(names) // 5) or None], names[len(names) * 4 // 5 :]
 
 
-def write(folder: Path, episodes: int, seed: int) -> None:
-    """Make all three in a folder that is not there yet, or is empty."""
-    os.environ.setdefault("MUJOCO_GL", "egl")  # needs no screen
+def prepared(folder: Path) -> Any:
+    """The compiled model, written into a folder with its meshes."""
     import mujoco
 
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("key", "gear"):
         shutil.copyfile(OBJECTS_FOLDER / name / f"{name}.stl", folder / f"{name}.stl")
     (folder / "model.xml").write_text(model_text())
-    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
-    picture = camera(model)
+    return mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+
+
+def write(folder: Path, episodes: int, seed: int) -> None:
+    """Make all three in a folder that is not there yet, or is empty."""
+    os.environ.setdefault("MUJOCO_GL", "egl")  # needs no screen
+    model = prepared(folder)
+    picture, done = camera(model), []
     each = (recorded(model, number, seed, picture) for number in range(episodes))
-    done = []
     for one in write_lerobot(each, model, folder / "lerobot"):
         done.append(one)
         print(f"{len(done)} of {episodes}: {one.task}, {len(one.time)} rows", file=sys.stderr)
-    write_robomimic(done, model_text(), folder / "robomimic.hdf5")
+    write_robomimic(done, folder / "robomimic.hdf5")
 
 
 if __name__ == "__main__":

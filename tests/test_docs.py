@@ -165,54 +165,6 @@ def test_the_picture_of_the_house_has_every_folder() -> None:
     assert drawn == folders | {"torch"}
 
 
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
-def test_the_picture_of_the_house_has_every_folder() -> None:
-    drawn = set(re.findall(r'font-weight="bold">(\w+)<', (DOCS / "house.svg").read_text()))
-    folders = {path.parent.name for path in (ROOT / "tacgen").glob("*/__init__.py")}
-    assert drawn == folders | {"torch"}
-
-
 def test_every_page_is_in_the_navigation() -> None:
     def pages(entry: object) -> Iterator[str]:
         if isinstance(entry, str):

@@ -34,7 +34,14 @@ def touch(
             "--sensor", metavar="NAME=SENSOR@BODY", help="A finger: left=gelsight_mini@left_pad; one for each."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The copy of the episodes, with touch.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            help="The copy of the episodes, with touch; or a film (.webp, .gif), or Rerun's .rrd, of one.",
+        ),
+    ],
     objects: Annotated[
         list[str] | None, typer.Option("--object", help="What fingers may touch; can be given many times.")
     ] = None,
@@ -89,7 +96,7 @@ def touch(
     """Add what robots' fingers feel to recorded episodes: contacts are found, solved, and written into a copy."""
     from tempfile import TemporaryDirectory
 
-    from tacgen.touch import labels, plan_text, scenes, sources
+    from tacgen.touch import copies, labels, plan_text, scenes, sources
     from tacgen.touch.intervals import Rate
 
     part, processes = shard_of(shard), workers_of(workers)
@@ -106,6 +113,7 @@ def touch(
             said["cost"] = priced(prepared.plan, processes)
         show_result(said, f"{plan_text.text(said)}\n{said['cost']['text']}", as_json)
         return
+    copies.refuse(source, len(source) if only is None else len(only), out, overwrite=overwrite)
     folder = bundles or out.with_name(f"{out.name}-bundles")
     with writing(folder):
         probe(folder)
@@ -126,26 +134,11 @@ def touch(
         raise typer.Exit(1 if failed else 0)
     touches = labels.felt(prepared, results)
     with writing(out):
-        paths = _writer(source.kind)(source, prepared.episodes, touches, out, overwrite=overwrite)
+        paths = copies.write(source, prepared.episodes, touches, out, overwrite=overwrite)
     said |= {"files": [str(path) for path in paths], "engine": plan_text.engine_table(prepared.episodes, touches)}
     lines = [*failed, *plan_text.notes(prepared.episodes, touches), *plan_text.engine_lines(said["engine"])]
     show_result(said, "\n".join([*lines, *map(str, paths)]), as_json)
     raise typer.Exit(1 if failed or prepared.notes else 0)
-
-
-def _writer(kind: str) -> Any:
-    """The function that writes touch into a copy of a source of this kind."""
-    if kind == "lerobot":
-        from tacgen.touch import into_lerobot
-
-        return into_lerobot.write
-    if kind == "robomimic":
-        from tacgen.touch import into_robomimic
-
-        return into_robomimic.write
-    from tacgen.touch import into_rerun
-
-    return into_rerun.write
 
 
 def _run(plan: Any, folder: Path, how: dict[str, Any], as_json: bool) -> Any:

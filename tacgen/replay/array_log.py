@@ -53,7 +53,7 @@ def hdf5(path: Path, group: str, layout: Layout) -> Arrays:
         except (KeyError, ValueError, AttributeError, TypeError):  # nothing, a link, a dataset
             there = ", ".join(_names(root)) or "none"
             raise UserError(f"{path}: cannot be read: it has no group {group}; there are: {there}") from None
-        return {name: _dataset(path, inner, name) if name in layout.names else UNREAD_ARRAY for name in names}
+        return {name: dataset(path, inner, name) if name in layout.names else UNREAD_ARRAY for name in names}
 
 
 def _names(group: Any) -> list[str]:
@@ -61,8 +61,8 @@ def _names(group: Any) -> list[str]:
     return [name if isinstance(name, str) else name.decode(errors="backslashreplace") for name in group]
 
 
-def _dataset(path: Path, group: Any, name: str) -> Array:
-    """A dataset of numbers or text, in the file itself. Raises UserError: it is something else."""
+def dataset(path: Path, group: Any, name: str) -> Array:
+    """A dataset of numbers or text below an open group, in the file itself. Raises UserError: it is something else."""
     import h5py
 
     try:

@@ -6,6 +6,7 @@ What the data's own names do not say, a file of columns does (YAML; every key ma
     quaternion: wxyz            # order of quaternions: wxyz or xyzw
     angles: rad                 # of joints: rad or deg
     fps: 30                     # rows in a second, where the data have no time
+    layout: tacgen              # of logs: names of arrays as of `tacgen replay --from`
     qpos: observation.qpos      # positions of all joints, in the order of the model
     qvel: observation.velocity  # their speeds; without them they are differences of positions
     ctrl: action                # commands of all actuators of the model, in its order
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from tacgen.base.errors import UserError
 from tacgen.recipe.pose_table import MM_PER_UNIT
@@ -39,19 +41,20 @@ REFERENCE = re.compile(r"\s*(?:(-?[\d.]+(?:e-?\d+)?)\s*\*\s*)?([^\[\]]+?)\s*(?:\
 MAX_QUATERNION_ERROR = 0.02  # of a quaternion's length from 1 [-]; single precision and mean values reach 1e-3
 
 
-class Columns(Part):
+class ColumnNames(Part):
     """A file of columns."""
 
     units: Literal["m", "mm"] = "m"
     quaternion: Literal["wxyz", "xyzw"] = "wxyz"
     angles: Literal["rad", "deg"] = "rad"
     fps: Positive | None = None
+    layout: str = "tacgen"
     qpos: str | None = None
     qvel: str | None = None
     ctrl: str | None = None
-    joints: dict[str, str] = {}
-    bodies: dict[str, str] = {}
-    forces: dict[str, str] = {}
+    joints: dict[str, str] = Field(default_factory=dict)
+    bodies: dict[str, str] = Field(default_factory=dict)
+    forces: dict[str, str] = Field(default_factory=dict)
     grip: str | None = None
 
     @property
@@ -60,13 +63,13 @@ class Columns(Part):
         return {(one, other): text for pair, text in self.forces.items() for one, _, other in [pair.partition("/")]}
 
 
-def read(given: Path | Mapping[str, Any] | None) -> Columns:
+def read(given: Path | Mapping[str, Any] | None) -> ColumnNames:
     """The columns in a file or a mapping. Raises UserError: unknown keys, or values that cannot be."""
     if isinstance(given, Path):
         tree = yaml_source.load(given)
     else:
         tree = yaml_source.Tree(dict(given or {}), {(): _nowhere()})
-    found, issues = validation_messages.validate(Columns, tree.data or {})
+    found, issues = validation_messages.validate(ColumnNames, tree.data or {})
     if found is None:
         raise validation_messages.report((issue, tree) for issue in issues)
     if wrong := [pair for pair in found.forces if not re.fullmatch("[^/]+/[^/]+", pair)]:
@@ -113,7 +116,7 @@ def _some(values: Array, names: Sequence[str], feature: str, some: str | None) -
     return values[:, places]
 
 
-def poses(values: Array, columns: Columns) -> Array:
+def poses(values: Array, columns: ColumnNames) -> Array:
     """Poses (n, 4, 4) [mm] from numbers (n, 6, 7 or 16); nan where one of a row's numbers is.
 
     Raises:

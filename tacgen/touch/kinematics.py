@@ -13,7 +13,7 @@ from tacgen.base import regular_file
 from tacgen.base.errors import UserError, why
 from tacgen.touch import surfaces
 from tacgen.touch.episode import Surface, Thing
-from tacgen.touch.surfaces import Solid
+from tacgen.touch.surfaces import RigidPart
 
 Array = np.ndarray
 MAX_MODEL_BYTES = 50_000_000  # of a model's text [bytes]
@@ -79,6 +79,16 @@ def _compiled(name: str, read: Callable[[Any], Any]) -> "Kinematics":
 
 
 @dataclass(frozen=True)
+class States:
+    """Joint states at times (n,) [s]: positions (n, nq), known speeds (n, nv) and commands (n, nu) of actuators."""
+
+    time: Array
+    qpos: Array
+    qvel: Array | None = None
+    ctrl: Array | None = None
+
+
+@dataclass(frozen=True)
 class Kinematics:
     """A compiled model of MuJoCo."""
 
@@ -106,6 +116,12 @@ class Kinematics:
             found[name] = int(m.jnt_qposadr[j]), ENDINGS.get(kind, ("",)), kind == HINGE
         return found
 
+    def body_of(self, joint: str) -> str:
+        """The name of the body that a joint moves; a joint without a name has its body's."""
+        m = self.model
+        known = {m.joint(j).name: m.body(m.jnt_bodyid[j]).name for j in range(m.njnt)}
+        return str(known.get(joint, joint))
+
     @property
     def gravity(self) -> tuple[float, float, float]:
         """In the world [m/s^2]."""
@@ -130,10 +146,11 @@ class Kinematics:
             found[:, row, :3, 3] = data.xpos * M_TO_MM
         return {name: found[k] for k, name in enumerate(self.bodies, 1)}
 
-    def speeds(self, qpos: Array, time: Array) -> Array:
-        """Speeds (n, nv) of the joints at times (n,) [s]: central differences of joint states (n, nq)."""
+    def speeds(self, states: "States") -> Array:
+        """Speeds (n, nv) of the joints: central differences of their positions."""
         import mujoco
 
+        qpos, time = states.qpos, states.time
         found = np.zeros((len(qpos), self.model.nv))
         for row in range(len(qpos)):
             before, after = max(row - 1, 0), min(row + 1, len(qpos) - 1)
@@ -142,21 +159,24 @@ class Kinematics:
                 mujoco.mj_differentiatePos(self.model, found[row], span, qpos[before], qpos[after])
         return found
 
-    def forces(self, states: tuple[Array, Array, Array], things: Sequence[str]) -> dict[tuple[str, str], Array]:
+    def forces(self, states: "States", things: Sequence[str]) -> dict[tuple[str, str], Array]:
         """Forces (n, 3) [N] in the world, on every body that is not fixed to the world by each of the things, by
         MuJoCo's forward dynamics; bodies that are fixed to each other have one force.
 
         Args:
-            states: joint positions (n, nq), speeds (n, nv) and commands of actuators (n, nu): without its motors a
-                gripper does not press.
+            states: with speeds and commands: without its motors a gripper does not press.
         """
         import mujoco
 
+        assert states.ctrl is not None
+
         m, data, wrench = self.model, mujoco.MjData(self.model), np.zeros(6)
+        count = len(states.qpos)
         groups, held = m.body_weldid, {int(m.body_weldid[m.body(name).id]): name for name in things}
         found: dict[tuple[int, str], Array] = {}
-        for row, (qpos, qvel, ctrl) in enumerate(zip(*states, strict=True)):
-            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, ctrl
+        qvel = self.speeds(states) if states.qvel is None else states.qvel
+        for row, (qpos, speed, ctrl) in enumerate(zip(states.qpos, qvel, states.ctrl, strict=True)):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, speed, ctrl
             mujoco.mj_forward(m, data)
             for k in range(data.ncon):
                 one, other = (int(groups[m.geom_bodyid[g]]) for g in data.contact[k].geom)
@@ -164,8 +184,8 @@ class Kinematics:
                 force = data.contact[k].frame.reshape(3, 3).T @ wrench[:3]  # on the second of its bodies
                 for touched, thing, sign in ((one, other, -1), (other, one, 1)):
                     if thing in held:
-                        found.setdefault((touched, held[thing]), np.zeros((len(states[0]), 3)))[row] += sign * force
-        none, moving = np.zeros((len(states[0]), 3)), [k for k in range(1, m.nbody) if groups[k]]
+                        found.setdefault((touched, held[thing]), np.zeros((count, 3)))[row] += sign * force
+        none, moving = np.zeros((count, 3)), [k for k in range(1, m.nbody) if groups[k]]
         named = [(m.body(k).name, int(groups[k])) for k in moving]
         return {
             (name, thing): found.get((group, thing), none)
@@ -206,7 +226,7 @@ class Kinematics:
         world = np.array([np.eye(4), *(every[name][0] for name in self.bodies)])
         return np.asarray(np.linalg.inv(world[body]) @ world)
 
-    def _solids(self, bodies: Sequence[int], frames: Array) -> list[Solid]:
+    def _solids(self, bodies: Sequence[int], frames: Array) -> list[RigidPart]:
         """The parts of bodies that are fixed to each other: what collides, or all where nothing does."""
         m = self.model
         all_geoms = [g for g in range(m.ngeom) if m.geom_bodyid[g] in bodies and int(m.geom_type[g]) in KINDS_OF_GEOMS]
@@ -217,7 +237,7 @@ class Kinematics:
             pose[:3, :3], pose[:3, 3] = _turn(m.geom_quat[g]), m.geom_pos[g] * M_TO_MM
             placed = frames[m.geom_bodyid[g]] @ pose
             size = m.geom_size[g] * M_TO_MM
-            found.append(Solid(kind, size, placed, *(self._mesh(mesh) if kind == "mesh" else ())))
+            found.append(RigidPart(kind, size, placed, *(self._mesh(mesh) if kind == "mesh" else ())))
         return found
 
     def _mesh(self, mesh: int) -> tuple[Array, Array]:

@@ -13,11 +13,13 @@ from tacgen.base import regular_file
 from tacgen.base.errors import UserError, why
 from tacgen.touch.columns import Named
 from tacgen.touch.kinematics import Kinematics
-from tacgen.touch.recording import Rows
+from tacgen.touch.recording import RecordedRows
 
 Array = np.ndarray
 MAX_TABLE_BYTES = 2**34  # of a Parquet file, with its images [bytes]
 INFO_PATH, EPISODES_FOLDER = "meta/info.json", "meta/episodes"
+# features that may hold the positions, and the speeds, of all joints of a model in its order
+WHOLE_STATES = (("observation.qpos",), ("observation.qvel", "observation.velocity"))
 NUMBERS = ("float", "int", "bool", "uint")  # dtypes of features that are no pictures or texts
 
 
@@ -35,7 +37,7 @@ class LeRobotFolder:
     def __len__(self) -> int:
         return len(self.entries)
 
-    def rows(self, number: int) -> Rows:
+    def rows(self, number: int) -> RecordedRows:
         """One episode by its place. Raises UserError: it cannot be read, or has fewer rows than its data set says."""
         entry = self.entries[number]
         index, length = entry["episode_index"], entry["length"]
@@ -58,7 +60,15 @@ class LeRobotFolder:
             for part, column in zip(names, values.T, strict=False):
                 target.setdefault(part, column)
         time = columns["timestamp"].astype(float).ravel()
-        return Rows(str(index), _exact(time, self.fps), get, named, commands, model=self.model)
+        qpos, qvel = self._whole(columns)
+        exact = _exact(time, self.fps)
+        return RecordedRows(str(index), exact, get, named, commands, qpos=qpos, qvel=qvel, model=self.model)
+
+    def _whole(self, columns: Mapping[str, Array]) -> list[Array | None]:
+        """Positions and speeds of all joints of the model, where features of the names and lengths are there."""
+        sizes = (0, 0) if self.model is None else (self.model.model.nq, self.model.model.nv)
+        some = [[columns[name] for name in names if name in columns] for names in WHOLE_STATES]
+        return [next((v for v in each if v.shape[1:] == (n,)), None) for each, n in zip(some, sizes, strict=True)]
 
 
 def opened(path: Path, model: Kinematics | None) -> LeRobotFolder:

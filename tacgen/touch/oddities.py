@@ -17,7 +17,7 @@ MIN_CLOSING_MM = 1.0  # change of a gripper's width that is a grasp
 
 
 def refuse(episode: Episode, fps: float, where: str) -> None:
-    """Raise UserError if rows are missing, are no numbers or jump, or if lengths can hardly be what they are said to be.
+    """Raise UserError if rows are missing, are no numbers or jump, or if lengths can hardly be as they are said to be.
 
     Args:
         where: file and name of the episode.

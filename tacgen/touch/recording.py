@@ -1,31 +1,30 @@
 """Rows of any file as an Episode: joint states through a model, columns as poses, forces and grip; then the checks."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.recipe.pose_table import MM_PER_UNIT
 from tacgen.touch import oddities, surfaces
-from tacgen.touch.columns import Columns, Get, picked, poses
+from tacgen.touch.columns import ColumnNames, Get, picked, poses
 from tacgen.touch.episode import Episode, Thing
-from tacgen.touch.kinematics import M_TO_MM, Kinematics
+from tacgen.touch.kinematics import ENDINGS, FREE, M_TO_MM, Kinematics, States
 
 Array = np.ndarray
 DEFAULT_GRAVITY = (0.0, 0.0, -9.81)  # in the world, where no model says it [m/s^2]
 
 
 @dataclass(frozen=True)
-class Rows:
+class RecordedRows:
     """The n rows of an episode as a file has them.
 
     time (n,) [s]; get: a feature by its name; named, commands: observed numbers and commands (n,) by their names;
     qpos, qvel: the model's states, where the file holds them whole; bodies: poses (n, 4, 4) [mm]; base: poses of the
-    model's own world; width (n,) [mm] between the fingers; model: that of the episode.
+    model's own world; forces (n, 3) [N] as an Episode has them; width (n,) [mm] between the fingers; model: that of the
+    episode.
     """
 
     name: str
@@ -36,6 +35,7 @@ class Rows:
     qpos: Array | None = None
     qvel: Array | None = None
     bodies: Mapping[str, Array] = field(default_factory=dict)
+    forces: Mapping[tuple[str, str], Array] = field(default_factory=dict)
     base: Array | None = None
     width: Array | None = None
     model: Kinematics | None = None
@@ -50,9 +50,9 @@ class Recording:
     kind: str
     fps: float
     count: int
-    rows: Callable[[int], Rows]
+    rows: Callable[[int], RecordedRows]
     asked: Mapping[str, str]
-    columns: Columns
+    columns: ColumnNames
 
     def __len__(self) -> int:
         return self.count
@@ -72,15 +72,14 @@ class Recording:
         rows = self.rows(number)
         where = f"{self.path}: episode {rows.name}"
         self._refuse_other_things(rows.model, where)
-        bodies, forces = dict(rows.bodies), dict[tuple[str, str], Array]()
+        bodies, forces = dict(rows.bodies), dict(rows.forces)
         try:
             own = {name: poses(picked(text, rows.get), self.columns) for name, text in self.columns.bodies.items()}
             if rows.model is not None:
                 states = _states(rows, rows.model, self.columns, own)
-                bodies |= _placed(rows.model.poses(states[0]), rows.base)
-                if states[2] is not None and self.things and not self.columns.forces:
-                    whole = states[0], rows.model.speeds(states[0], rows.time) if states[1] is None else states[1], states[2]
-                    forces |= rows.model.forces(whole, [name for name in self.things if name in rows.model.bodies])
+                bodies |= _placed(rows.model.poses(states.qpos), rows.base)
+                if states.ctrl is not None and not self.columns.forces:
+                    forces |= rows.model.forces(states, [name for name in self.things if name in rows.model.bodies])
             forces |= {pair: _wide(picked(text, rows.get), 3, text) for pair, text in self.columns.pairs.items()}
             grip = None
             if self.columns.grip:
@@ -122,33 +121,13 @@ class Recording:
                 raise UserError(f"{where}: its {name} is another than that of the first episode: convert it by itself")
 
 
-def _states(
-    rows: Rows, model: Kinematics, columns: Columns, bodies: Mapping[str, Array]
-) -> tuple[Array, Array | None, Array | None]:
-    """Joint positions (n, nq) of the model, and speeds (n, nv) and commands (n, nu) where they are known.
-
-    Raises:
-        UserError: a joint has no column.
-    """
-    count, size = len(rows.time), int(model.model.nq)
-    qpos = rows.qpos
+def _states(rows: RecordedRows, model: Kinematics, columns: ColumnNames, bodies: Mapping[str, Array]) -> States:
+    """Joint states of the model. Raises UserError: a joint has no column, or a row no number."""
+    size, qpos = int(model.model.nq), rows.qpos
     if columns.qpos:
         qpos = _wide(picked(columns.qpos, rows.get), size, columns.qpos)
     if qpos is None:
-        qpos = np.tile(model.model.qpos0, (count, 1))
-        lost = []
-        for joint, (place, endings, angle) in model.joints.items():
-            values = _of_joint(joint, endings, rows, columns)
-            if values is None and joint in bodies and len(endings) == 7:
-                values = _free_state(bodies[joint])
-            if values is None:
-                lost.append(joint)
-            else:
-                scale = np.pi / 180 if angle and columns.angles == "deg" else 1.0
-                qpos[:, place : place + len(endings)] = values * scale
-        if lost:
-            known = ", ".join(rows.named) or "none"
-            raise UserError(f"no column has the name of joint {', '.join(lost)}: name them under joints (there: {known})")
+        qpos = _by_joints(rows, model, columns, bodies)
     elif qpos.shape[1] != size:
         raise UserError(f"has {qpos.shape[1]} joint positions, and {model.name} has {size}: is it its model?")
     if (wrong := ~np.isfinite(qpos).all(1)).any():
@@ -159,10 +138,31 @@ def _states(
         ctrl = _wide(picked(columns.ctrl, rows.get), int(model.model.nu), columns.ctrl)
     elif model.actuators and rows.commands.keys() >= set(model.actuators):
         ctrl = np.column_stack([rows.commands[name] for name in model.actuators])
-    return qpos, qvel, ctrl
+    return States(rows.time, qpos, qvel, ctrl)
 
 
-def _of_joint(joint: str, endings: Sequence[str], rows: Rows, columns: Columns) -> Array | None:
+def _by_joints(rows: RecordedRows, model: Kinematics, columns: ColumnNames, bodies: Mapping[str, Array]) -> Array:
+    """Joint positions (n, nq) from columns of single joints, and of free ones also from their bodies' poses."""
+    if unknown := columns.joints.keys() - model.joints:
+        there = ", ".join(model.joints)
+        raise UserError(f"columns: joints: {model.name} has no joint {', '.join(sorted(unknown))}; there are: {there}")
+    qpos, lost = np.tile(model.model.qpos0, (len(rows.time), 1)), []
+    for joint, (place, endings, angle) in model.joints.items():
+        values = _of_joint(joint, endings, rows, columns)
+        if values is None and len(endings) == len(ENDINGS[FREE]) and (body := model.body_of(joint)) in bodies:
+            values = _free_state(bodies[body])
+        if values is None:
+            lost.append(joint)
+        else:
+            scale = np.pi / 180 if angle and columns.angles == "deg" else 1.0
+            qpos[:, place : place + len(endings)] = values * scale
+    if lost:
+        known = ", ".join(rows.named) or "none"
+        raise UserError(f"no column is named as joint {', '.join(lost)}: name it under joints (there: {known})")
+    return qpos
+
+
+def _of_joint(joint: str, endings: Sequence[str], rows: RecordedRows, columns: ColumnNames) -> Array | None:
     """Columns (n, k) of a joint: as given, or by names as joint, joint.pos, and joint.x ... joint.qz of a free one."""
     if joint in columns.joints:
         return _wide(picked(columns.joints[joint], rows.get), len(endings), columns.joints[joint])

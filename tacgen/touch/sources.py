@@ -2,14 +2,19 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from tacgen.base.errors import UserError
+from tacgen.replay.log_file import HDF5_SUFFIXES
 from tacgen.touch import columns as columns_file
-from tacgen.touch import kinematics, lerobot_data
-from tacgen.touch.recording import Recording
+from tacgen.touch import kinematics, lerobot_data, logs, state_files, umi
+from tacgen.touch.columns import ColumnNames
+from tacgen.touch.kinematics import Kinematics
+from tacgen.touch.recording import RecordedRows, Recording
 
-EPISODE_FILES = "a LeRobot folder (meta/info.json)"
+EPISODE_FILES = (
+    "a LeRobot folder (meta/info.json), HDF5 with data/demo_0 or traj_0, UMI's zarr, or logs (.csv, .npz, .h5)"
+)
 
 
 def open_source(
@@ -21,8 +26,8 @@ def open_source(
     """The episodes in a file or folder, a Source.
 
     Args:
-        path: a LeRobot folder of version 3.
-        model: MJCF or URDF whose joints the episodes have.
+        path: one of EPISODE_FILES.
+        model: MJCF or URDF whose joints the episodes have; those of robomimic carry one.
         objects: BODY of the model, NAME=mesh file, or NAME={shape: ...} as a recipe has it; without any, all bodies
             of the model that have a free joint.
         columns: see tacgen.touch.columns.
@@ -34,7 +39,29 @@ def open_source(
     asked = {name: text for name, _, text in (each.partition("=") for each in objects)}
     if not path.exists():
         raise UserError(f"{path}: there is no such file or folder")
+    kind, found = _reader(path, known, asked, given)
+    return Recording(path, kind, given.fps or found.fps, len(found), found.rows, asked, given)
+
+
+class Reader(Protocol):
+    """Episodes of one format."""
+
+    @property
+    def fps(self) -> float: ...
+
+    def __len__(self) -> int: ...
+
+    def rows(self, number: int) -> RecordedRows: ...
+
+
+def _reader(path: Path, model: Kinematics | None, asked: Mapping[str, str], given: ColumnNames) -> tuple[str, Reader]:
+    """The kind of the episodes, and who reads them."""
     if (path / lerobot_data.INFO_PATH).is_file():
-        folder = lerobot_data.opened(path, known)
-        return Recording(path, "lerobot", given.fps or folder.fps, len(folder), folder.rows, asked, given)
-    raise UserError(f"{path}: is none of {EPISODE_FILES}")
+        return "lerobot", lerobot_data.opened(path, model)
+    if path.name.endswith((".zarr", ".zarr.zip")) or any((path / name).is_file() for name in (".zgroup", "zarr.json")):
+        return "umi", umi.opened(path, given.fps, model)
+    if path.suffix.lower() in HDF5_SUFFIXES and (found := state_files.opened(path, model, given.fps)) is not None:
+        return found.kind, found
+    if path.is_dir() or path.suffix.lower() in logs.LOG_SUFFIXES:
+        return "log", logs.opened(path, given, list(asked))
+    raise UserError(f"{path}: is none of these: {EPISODE_FILES}")

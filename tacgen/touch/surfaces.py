@@ -34,7 +34,7 @@ ALONG_Z = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True)
-class Solid:
+class RigidPart:
     """A part of a body. kind: sphere, capsule, cylinder, ellipsoid, box or mesh; size (3,) [mm]: radii or half lengths,
     as MuJoCo has them; pose (4, 4) [mm] in the body's frame; vertices (n, 3) [mm] and triangles (m, 3) of a mesh."""
 
@@ -45,7 +45,7 @@ class Solid:
     triangles: Array | None = None
 
 
-def of_solids(name: str, solids: Sequence[Solid]) -> Surface:
+def of_solids(name: str, solids: Sequence[RigidPart]) -> Surface:
     """The surface of a body of one or several parts. Raises UserError: of none, or too small or large for mm."""
     if not solids:
         raise UserError(f"object {name}: has no geometry: give --object {name}=MESH")
@@ -79,7 +79,8 @@ def of_mesh_file(name: str, file: Path, given: Mapping[str, Any] | None = None) 
     """The surface of a mesh file, whose frame, scaled to mm, is the body's. Raises UserError: it is no closed mesh, or
     its lengths can hardly be mm."""
     indenter = {"shape": "mesh", "file": str(file), **(given or {})}
-    solid, how = mesh_file.read(file), {"up": "+z", "scale": 1.0, "size": None}
+    solid = mesh_file.read(file)
+    how: dict[str, Any] = {"up": "+z", "scale": 1.0, "size": None}
     how |= {key: indenter[key] for key in ("up", "scale") if key in indenter} | {"size": indenter.get("size_mm")}
     size = float(np.ptp(mesh_import.placed(solid, **how).vertices, axis=0).max())
     if not MIN_SIZE_MM <= size <= MAX_SIZE_MM:
@@ -88,7 +89,7 @@ def of_mesh_file(name: str, file: Path, given: Mapping[str, Any] | None = None) 
     return Surface(indenter, mesh_import.placement(solid, **how))
 
 
-def _analytic(solid: Solid) -> Surface | None:
+def _analytic(solid: RigidPart) -> Surface | None:
     """A ball, a rod with round ends or a round rod; a recipe's box has no upper end."""
     radius, half = float(solid.size[0]), float(solid.size[1])
     down = np.eye(4)
@@ -106,8 +107,8 @@ def _analytic(solid: Solid) -> Surface | None:
     return None
 
 
-def _mesh(solid: Solid) -> "trimesh.Trimesh":
-    """A closed mesh [mm] in the body's frame; the convex hull where a mesh is open, with which rigid engines collide."""
+def _mesh(solid: RigidPart) -> "trimesh.Trimesh":
+    """A closed mesh [mm] in the body's frame; where it is open its convex hull, with which rigid engines collide."""
     import trimesh
 
     radius, half = float(solid.size[0]), float(solid.size[1])
@@ -132,7 +133,8 @@ def _kept(name: str, parts: "Sequence[trimesh.Trimesh]") -> Path:
     """The file of a mesh of all parts, written where it is not there yet."""
     import trimesh
 
-    content = trimesh.util.concatenate(list(parts)).export(file_type="stl")
+    whole: Any = trimesh.util.concatenate(list(parts))
+    content = whole.export(file_type="stl")
     safe = "".join(letter if letter.isalnum() else "_" for letter in name)
     file = array_cache.cache_folder() / "surfaces" / f"{safe}-{hashlib.sha256(content).hexdigest()[:16]}.stl"
     if not output_file.holds(file, content):

@@ -5,10 +5,10 @@ from types import ModuleType
 import pytest
 
 # what the extras bring, by the names that are imported
-EXTRAS = ("dask_jobqueue", "distributed", "mkdocs", "numcodecs", "pyarrow", "pymeshlab", "rerun", "torch")
+EXTRAS = ("dask_jobqueue", "distributed", "mkdocs", "mujoco", "numcodecs", "pyarrow", "pymeshlab", "rerun", "torch")
 EXTRAS += ("triton", "webdataset", "zarr")
 # what tests alone use: a simulator, a measure of pictures, and others' readers of what is exported
-OTHERS = ("cv2", "datasets", "lerobot", "mujoco", "skimage", "vtk")
+OTHERS = ("cv2", "datasets", "lerobot", "skimage", "vtk")
 
 
 def needs(name: str) -> ModuleType:
