@@ -168,7 +168,9 @@ def _base(finger: Finger, asked: TouchChoice) -> Row:
     hold = {"trajectory": [{"hold": {"frames": UNTOUCHED_FRAMES}}]}
     recipe = _recipe(finger, f"{finger.name}-untouched", asked, ["force", "events"]) | ball | hold
     (row,) = plan.load(Tree(recipe), asked.sets).rows
-    shown = [*(["markers"] if row.sensor.markers else []), *(["rgb"] if row.sensor.lit else [])]
+    if not row.sensor.lit:
+        raise UserError(f"--sensor {finger.name}: {row.sensor.name} has no light, and so no pictures: take another")
+    shown = [*(["markers"] if row.sensor.markers else []), "rgb"]
     (row,) = plan.load(Tree(recipe | {"outputs": ["force", "events", *shown]}), asked.sets).rows
     return row
 

@@ -8,9 +8,10 @@ import pytest
 from helpers.small_recipe import row
 
 from tacgen.base.errors import UserError
+from tacgen.batch import pipeline
 from tacgen.cli.touch import _fingers, _range, _window
 from tacgen.recipe import pose_table, scene_of_row
-from tacgen.touch import grasps, intervals, scenes
+from tacgen.touch import grasps, intervals, labels, scenes
 from tacgen.touch.episode import Episode, Finger, Thing
 from tacgen.touch.intervals import AtFinger
 from tacgen.touch.scenes import TouchChoice
@@ -80,6 +81,20 @@ def test_grasps_need_two_fingers(tmp_path: Path) -> None:
     assert recipe.grasp is not None
     assert recipe.grasp.mass_kg == 0.02
     assert [each.name for each in prepared.plan.rows[scene].bundles] == ["scene-00001-L", "scene-00001-R"]
+
+
+def test_both_fingers_bear_the_weight(tmp_path: Path) -> None:
+    source = Made([grasped()], [ball("ball", 0.02)])
+    prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=COARSE), tmp_path)
+    touches = labels.felt(prepared, pipeline.run(prepared.plan.rows, tmp_path))
+    ((left, right),) = touches
+    assert [one.touched for one in (left, right)] == [[""] * 3 + ["ball"] * 3 + [""] * 2] * 2
+    for one in (left, right):
+        assert -one.force[3:6, 2] == pytest.approx(3.0, rel=0.01)
+        assert one.engine[3:6] == pytest.approx(3.0)
+        assert one.lifted[4:6].all()
+    weight = 0.02 * 9.80665
+    assert left.force[4:6, 1] + right.force[4:6, 1] == pytest.approx(-weight, rel=0.02)
 
 
 def test_options_are_read_or_refused() -> None:
