@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import Result
+from typer.testing import CliRunner
 
 from tacgen.cli.main import app
 from tacgen.touch import copies, sources
