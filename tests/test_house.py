@@ -148,6 +148,7 @@ NOT_NUMPY = {
         "cli.look",
         "cli.replay",
         "cli.sensor",
+        "cli.touch",
         "base.errors",
         "sensor.base_model",
     ),

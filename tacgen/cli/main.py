@@ -35,6 +35,7 @@ from tacgen.cli.common import (
 from tacgen.cli.look import report, show, view
 from tacgen.cli.replay import replay
 from tacgen.cli.sensor import sensors
+from tacgen.cli.touch import touch
 from tacgen.report.sheet import counted
 
 __all__ = ["app"]
@@ -312,7 +313,7 @@ def pack(
     show_result({**plain, "shards": [str(path) for path in made.shards]}, text, as_json)
 
 
-for command in (replay, report, show, view):
+for command in (replay, report, show, touch, view):
     app.command()(command)
 
 

@@ -143,7 +143,7 @@ def gaps(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array
     It is at most MAX_FACE_POINT_DISTANCE_MM larger than that from the face. For an object higher than `within` [mm] it
     is the height of its lowest point, which is not larger than its distance.
     """
-    face = _face(gel)
+    face = face_points(gel)
     found = np.array([body.lowest(pose) for pose in poses])  # the face is nowhere above z = 0
     low = np.flatnonzero(found <= within)
     step = max(1, MAX_DISTANCE_POINTS // len(face))
@@ -172,7 +172,7 @@ def least(body: RecordedBody, gel: GelBody, gap: float, pose: Array) -> float:
     return gap if gap <= 0 or shape is None else closest(shape, gel, pose[None])
 
 
-def _face(gel: GelBody) -> Array:
+def face_points(gel: GelBody) -> Array:
     """Points (n, 3) of the untouched face [mm]."""
     sides = [np.linspace(-s / 2, s / 2, 2 + int(s / FACE_SPACING_MM)) for s in (gel.width, gel.height)]
     x, y = np.meshgrid(*sides)

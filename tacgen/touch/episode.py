@@ -68,20 +68,30 @@ class Source(Protocol):
     """Recorded episodes. kind: lerobot, robomimic, umi or log; fps: rows in a second; things: by the name of their
     body."""
 
-    path: Path
-    kind: str
-    fps: float
-    things: Mapping[str, Thing]
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def fps(self) -> float: ...
+
+    @property
+    def things(self) -> Mapping[str, Thing]: ...
 
     def __len__(self) -> int: ...
 
     def episodes(self) -> Iterator[Episode]:
         """In order. Raises UserError, one line, where an episode cannot be read."""
 
+    def episode(self, number: int) -> Episode:
+        """The one at this place, from 0; raises as `episodes` does."""
+
 
 @dataclass(frozen=True)
 class Touch:
-    """What a finger felt in the n rows of an episode; forces on the gel in the sensor's frame.
+    """The touch of a finger in the n rows of an episode; forces on the gel in the sensor's frame.
 
     touched: name of the object, "" without contact; force (n, 3) [N]; torque (n, 3) [N mm] about the sensor's origin;
     markers (n, m, 2) [px], None without markers; error (n,): expected error of the force over the force [-]; correction

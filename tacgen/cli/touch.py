@@ -1,0 +1,208 @@
+"""The command that adds what robots' fingers feel to episodes that were recorded without it."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tacgen.base.errors import UserError
+from tacgen.base.terminal import say
+from tacgen.cli.common import (
+    AsJson,
+    Overwrite,
+    Sets,
+    Workers,
+    line,
+    noted,
+    priced,
+    probe,
+    shard_of,
+    show_result,
+    warn,
+    workers_of,
+    writing,
+)
+
+MIN_TIMED_FRAMES = 500  # to be solved; the cost of fewer is not worth the time that an estimate takes
+
+
+def touch(
+    episodes: Annotated[Path, typer.Argument(help="A LeRobot folder, HDF5 of states, UMI's zarr, CSV or npz.")],
+    sensors: Annotated[
+        list[str],
+        typer.Option(
+            "--sensor", metavar="NAME=SENSOR@BODY", help="A finger: left=gelsight_mini@left_pad; one for each."
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            help="The copy of the episodes, with touch; or a film (.webp, .gif), or Rerun's .rrd, of one.",
+        ),
+    ],
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="What fingers may touch; can be given many times.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="MJCF or URDF that gives poses and shapes, where episodes hold joints.")
+    ] = None,
+    columns: Annotated[
+        Path | None, typer.Option(help="YAML that says which columns are joints, poses and forces, and in what units.")
+    ] = None,
+    mounts: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--mount",
+            metavar="NAME=X,Y,Z[,QW,QX,QY,QZ]",
+            help="Pose of a finger's sensor frame in its body: the face's middle [mm], z out of the gel.",
+        ),
+    ] = None,
+    match: Annotated[
+        str,
+        typer.Option(
+            help="What of the log is kept: pose; force, by a depth that the gel needs for it; or grip of both fingers."
+        ),
+    ] = "pose",
+    near_mm: Annotated[float, typer.Option(help="Rows are solved that bring an object so near to a gel.")] = 1.0,
+    rate: Annotated[
+        float | None, typer.Option(min=1e-3, help="Frames of the solve in a second; default: those of the episodes.")
+    ] = None,
+    windows: Annotated[
+        list[str] | None,
+        typer.Option("--window", metavar="FROM:TO@RATE", help="Seconds of each episode that have another rate."),
+    ] = None,
+    friction: Annotated[float, typer.Option(min=0, help="Friction between objects and gels.")] = 0.6,
+    quality: Annotated[str, typer.Option(help="draft, default or reference.")] = "draft",
+    sets: Sets = None,
+    chosen: Annotated[str, typer.Option("--episodes", metavar="FIRST:LAST", help="Only these, from 0.")] = "",
+    bundles: Annotated[
+        Path | None,
+        typer.Option(help="Folder for recipes and bundles, where a run resumes; default: OUT-bundles."),
+    ] = None,
+    workers: Workers = "1",
+    engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster; cuda: a GPU.")] = "local",
+    scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")] = "",
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Only solve part I of N; the command without it writes the copy.")
+    ] = "0/1",
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", "--plan", help="Print contacts and the estimated cost, and write nothing.")
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Add what robots' fingers feel to recorded episodes: contacts are found, solved, and written into a copy."""
+    from tempfile import TemporaryDirectory
+
+    from tacgen.touch import copies, labels, plan_text, scenes, sources
+    from tacgen.touch.intervals import Rate
+
+    part, processes = shard_of(shard), workers_of(workers)
+    fingers = _fingers(sensors, mounts or [])
+    rates = Rate(rate, tuple(map(_window, windows or [])))
+    asked = scenes.TouchChoice(match, near_mm, rates, friction, quality, tuple(sets or ()))
+    source = sources.open_source(episodes, model, tuple(objects or ()), columns)
+    only = _range(chosen)
+    if dry_run:
+        with TemporaryDirectory() as name:
+            prepared = scenes.prepare(source, fingers, asked, Path(name), only)
+            warn([*prepared.plan.warnings, *prepared.notes])
+            said = plan_text.summary(prepared, source.fps)
+            said["cost"] = priced(prepared.plan, processes)
+        show_result(said, f"{plan_text.text(said)}\n{said['cost']['text']}", as_json)
+        return
+    copies.refuse(source, len(source) if only is None else len(only), out, overwrite=overwrite)
+    folder = bundles or out.with_name(f"{out.name}-bundles")
+    with writing(folder):
+        probe(folder)
+        prepared = scenes.prepare(source, fingers, asked, folder, only, overwrite=overwrite)
+        warn([*prepared.plan.warnings, *prepared.notes])
+        said = plan_text.summary(prepared, source.fps)
+        say(plan_text.text(said), err=True)
+        if said["frames"] >= MIN_TIMED_FRAMES:
+            said["cost"] = priced(prepared.plan, processes)
+            say(str(said["cost"]["text"]), err=True)
+        how = {"workers": processes, "engine": engine, "scheduler": scheduler, "overwrite": overwrite}
+        whole = shard == "0/1"
+        planned = prepared.plan if whole else scenes.shard(prepared.plan, part)
+        results = _run(planned, folder, how | {"shard": None if whole else part}, as_json)
+    failed = [f"{one.name}: {one.status}: {one.reason}" for one in results if one.status != "ok"]
+    if not whole:
+        show_result({"folder": str(folder), **said}, "\n".join([*failed, f"{folder}: part {shard} is solved"]), as_json)
+        raise typer.Exit(1 if failed else 0)
+    touches = labels.felt(prepared, results)
+    with writing(out):
+        paths = copies.write(source, prepared.episodes, touches, out, overwrite=overwrite)
+    said |= {"files": [str(path) for path in paths], "engine": plan_text.engine_table(prepared.episodes, touches)}
+    lines = [*failed, *plan_text.notes(prepared.episodes, touches), *plan_text.engine_lines(said["engine"])]
+    show_result(said, "\n".join([*lines, *map(str, paths)]), as_json)
+    raise typer.Exit(1 if failed or prepared.notes else 0)
+
+
+def _run(plan: Any, folder: Path, how: dict[str, Any], as_json: bool) -> Any:
+    """Solve the scenes of a plan with a progress bar."""
+    from tacgen import batch
+    from tacgen.report.progress import Progress
+
+    with Progress(len(plan.rows), sum(plan.frames), noted=noted) as progress:
+
+        def on_event(event: dict[str, Any]) -> None:
+            progress(event)
+            if as_json:
+                line(event)
+
+        return batch.run(plan, folder, on_event=on_event, **how)
+
+
+def _fingers(sensors: list[str], mounts: list[str]) -> list[Any]:
+    """`left=gelsight_mini@left_pad` and `left=0,0,5` as fingers."""
+    from tacgen.recipe.trajectory import Placement
+    from tacgen.touch.episode import Finger
+
+    found: dict[str, Any] = {}
+    for text in sensors:
+        name, equals, rest = text.partition("=")
+        sensor, at, body = rest.rpartition("@")
+        if not (name and equals and sensor and at and body) or name in found:
+            raise UserError(f"--sensor {text}: must be NAME=SENSOR@BODY with a name of its own, such as left=digit@pad")
+        found[name] = Finger(name, sensor, body)
+    for text in mounts:
+        name, _, rest = text.partition("=")
+        try:
+            numbers = [float(part) for part in rest.split(",")]
+            if len(numbers) not in (3, 7) or name not in found:
+                raise ValueError
+            keys = {"position_mm": numbers[:3], **({"quaternion": numbers[3:]} if numbers[3:] else {})}
+            one = found[name]
+            found[name] = Finger(one.name, one.sensor, one.body, Placement.model_validate(keys))
+        except ValueError:
+            names = ", ".join(found)
+            raise UserError(
+                f"--mount {text}: must be NAME=X,Y,Z or NAME=X,Y,Z,QW,QX,QY,QZ, of a finger: {names}"
+            ) from None
+    return list(found.values())
+
+
+def _window(text: str) -> tuple[float, float, float]:
+    """`1.2:1.5@200` as numbers."""
+    times, _, rate = text.partition("@")
+    start, _, end = times.partition(":")
+    try:
+        found = float(start), float(end), float(rate)
+    except ValueError:
+        found = 0.0, 0.0, 0.0
+    if not (found[0] < found[1] and found[2] > 0):
+        raise UserError(f"--window {text}: must be FROM:TO@RATE in seconds and 1/s, such as 1.2:1.5@200")
+    return found
+
+
+def _range(text: str) -> range | None:
+    """`3:5` as the numbers 3, 4 and 5; `3` alone is one episode."""
+    if not text:
+        return None
+    first, colon, last = text.partition(":")
+    if not (first.isdecimal() and (last if colon else first).isdecimal()):
+        raise UserError(f"--episodes {text}: must be a number, or FIRST:LAST such as 0:9")
+    return range(int(first), int(last or first) + 1)
