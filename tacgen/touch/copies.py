@@ -8,13 +8,13 @@ from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.touch import into_lerobot
-from tacgen.touch.episode import Episode, Source, Touch
+from tacgen.touch.episode import Episodes, Recorded, Touch
 
 WRITER_OF_SUFFIX = {".rrd": "into_rerun", **dict.fromkeys(animation.ANIMATION_WRITERS, "film")}
 WRITER_OF_KIND = {"lerobot": "into_lerobot", "robomimic": "into_robomimic"}
 
 
-def refuse(source: Source, episodes: int, out: Path, *, overwrite: bool) -> None:
+def refuse(source: Episodes, episodes: int, out: Path, *, overwrite: bool) -> None:
     """UserError if touch of so many episodes cannot be written to `out`; to be called before long work."""
     name = _writer(source, out)
     if out.suffix.lower() in WRITER_OF_SUFFIX and episodes > 1:
@@ -28,7 +28,12 @@ def refuse(source: Source, episodes: int, out: Path, *, overwrite: bool) -> None
 
 
 def write(
-    source: Source, episodes: Sequence[Episode], touches: Sequence[Sequence[Touch]], out: Path, *, overwrite: bool
+    source: Episodes,
+    episodes: Sequence[Recorded],
+    touches: Sequence[Sequence[Touch]],
+    out: Path,
+    *,
+    overwrite: bool,
 ) -> list[Path]:
     """Write a film or an .rrd file where `out` ends so; else a copy of the source, or .rrd files of one without a copy.
 
@@ -38,6 +43,6 @@ def write(
     return written(source, episodes, touches, out, overwrite=overwrite)
 
 
-def _writer(source: Source, out: Path) -> str:
+def _writer(source: Episodes, out: Path) -> str:
     """The module that writes."""
     return WRITER_OF_SUFFIX.get(out.suffix.lower()) or WRITER_OF_KIND.get(source.kind, "into_rerun")

@@ -13,7 +13,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Surface:
+class BodySurface:
     """The surface of a rigid body: an `indenter` as a recipe has it (files absolute), and the pose (4, 4) [mm] of the
     indenter's frame in the body's."""
 
@@ -27,7 +27,7 @@ class Thing:
     body's frame, where known."""
 
     body: str
-    surface: Surface
+    surface: BodySurface
     mass: float | None = None
     centre: Array | None = None
 
@@ -44,7 +44,7 @@ class Finger:
 
 
 @dataclass(frozen=True)
-class Episode:
+class Recorded:
     """The n rows of an episode.
 
     time (n,) [s], increasing; bodies: poses (n, 4, 4) [mm] in the world by name, nan where a row has none; forces:
@@ -64,7 +64,7 @@ class Episode:
         return len(self.time)
 
 
-class Source(Protocol):
+class Episodes(Protocol):
     """Recorded episodes. kind: lerobot, robomimic, umi or log; fps: rows in a second; things: by the name of their
     body."""
 
@@ -82,10 +82,10 @@ class Source(Protocol):
 
     def __len__(self) -> int: ...
 
-    def episodes(self) -> Iterator[Episode]:
+    def episodes(self) -> Iterator[Recorded]:
         """In order. Raises UserError, one line, where an episode cannot be read."""
 
-    def episode(self, number: int) -> Episode:
+    def episode(self, number: int) -> Recorded:
         """The one at this place, from 0; raises as `episodes` does."""
 
 

@@ -11,7 +11,7 @@ from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.report.force_figure import OUR_COLOUR, THEIR_COLOUR
 from tacgen.report.sheet import Page
-from tacgen.touch.episode import Array, Episode, Source, Touch
+from tacgen.touch.episode import Array, Episodes, Recorded, Touch
 from tacgen.touch.label_columns import by_episode, file_name, title
 
 if TYPE_CHECKING:
@@ -25,7 +25,12 @@ LIFTED_AT, NOTE_AT = 1.03, -0.02  # height of the marks over the plot's [-]
 
 
 def write(
-    source: Source, episodes: Sequence[Episode], touches: Sequence[Sequence[Touch]], out: Path, *, overwrite: bool
+    source: Episodes,
+    episodes: Sequence[Recorded],
+    touches: Sequence[Sequence[Touch]],
+    out: Path,
+    *,
+    overwrite: bool,
 ) -> list[Path]:
     """Draw each episode into `out`/<name>.webp, or a single one into the file `out`: webp or gif, or mp4 with ffmpeg.
 
@@ -46,7 +51,7 @@ def write(
     return made
 
 
-def _draw(episode: Episode, fingers: Sequence[Touch], rows: Array, writer: object, out: Path) -> None:
+def _draw(episode: Recorded, fingers: Sequence[Touch], rows: Array, writer: object, out: Path) -> None:
     """One frame for each of `rows`."""
     time = episode.time - episode.time[0]
     shape = fingers[0].image(0).shape

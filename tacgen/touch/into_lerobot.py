@@ -33,7 +33,7 @@ from tacgen.base.output_file import add
 from tacgen.bundle import whole_folder
 from tacgen.bundle.image_file import encoded
 from tacgen.export.lerobot import DATA_PATH, FILES_PER_FOLDER, PARQUET_FILE_BYTES, TACTILE_PREFIX, statistics
-from tacgen.touch.episode import Array, Episode, Source, Touch
+from tacgen.touch.episode import Array, Episodes, Recorded, Touch
 from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 
 FOLDER_KIND = "touch for LeRobot"  # of `whole_folder`
@@ -47,7 +47,12 @@ Statistics = dict[str, dict[str, list]]
 
 
 def write(
-    source: Source, episodes: Sequence[Episode], touches: Sequence[Sequence[Touch]], out: Path, *, overwrite: bool
+    source: Episodes,
+    episodes: Sequence[Recorded],
+    touches: Sequence[Sequence[Touch]],
+    out: Path,
+    *,
+    overwrite: bool,
 ) -> list[Path]:
     """Write the copy into the folder `out`, which appears when it is complete. Returns the files.
 
@@ -84,7 +89,7 @@ def write(
     return [out / path for path in made]
 
 
-def refuse(source: Source, out: Path, *, overwrite: bool) -> None:
+def refuse(source: Episodes, out: Path, *, overwrite: bool) -> None:
     """UserError if the copy cannot be in the folder `out`; to be called before long work, too."""
     given, where = source.path.resolve(), out.resolve()
     if where.is_relative_to(given) or given.is_relative_to(where):
@@ -153,7 +158,7 @@ def _copy(given: Path, folder: Path) -> None:
 def _data(
     given: Path,
     folder: Path,
-    felt: dict[int, tuple[Episode, Sequence[Touch]]],
+    felt: dict[int, tuple[Recorded, Sequence[Touch]]],
     like: Sequence[Touch],
     texts: dict[str, list[str]],
     new: dict[str, dict[str, Any]],

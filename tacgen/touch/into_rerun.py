@@ -21,7 +21,7 @@ from tacgen.base.errors import UserError
 from tacgen.export.rerun import SUFFIX, curves, image_of, new_recording
 from tacgen.recipe.indenters import Indenter
 from tacgen.report.field_figure import surface_of
-from tacgen.touch.episode import Episode, Source, Thing, Touch
+from tacgen.touch.episode import Episodes, Recorded, Thing, Touch
 from tacgen.touch.label_columns import by_episode, file_name, title
 
 MAX_SHOWN_MM = 150.0  # of shapes without an end
@@ -29,7 +29,12 @@ AXIS_LENGTH_MM = 20.0  # of the axes of a body [mm]
 
 
 def write(
-    source: Source, episodes: Sequence[Episode], touches: Sequence[Sequence[Touch]], out: Path, *, overwrite: bool
+    source: Episodes,
+    episodes: Sequence[Recorded],
+    touches: Sequence[Sequence[Touch]],
+    out: Path,
+    *,
+    overwrite: bool,
 ) -> list[Path]:
     """One file an episode: `out` itself if it ends in SUFFIX, otherwise <name>.rrd in it.
 
@@ -53,7 +58,7 @@ def write(
     return made
 
 
-def recording(source: Source, episode: Episode, fingers: Sequence[Touch]) -> bytes:
+def recording(source: Episodes, episode: Recorded, fingers: Sequence[Touch]) -> bytes:
     """The episode as the bytes of a recording."""
     import rerun as rr
 

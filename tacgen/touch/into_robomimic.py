@@ -24,14 +24,19 @@ import numpy as np
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.hdf5_file import item_at, open_file, text_type, written_file
-from tacgen.touch.episode import Array, Episode, Source, Touch
+from tacgen.touch.episode import Array, Episodes, Recorded, Touch
 from tacgen.touch.label_columns import by_episode, columns
 
 GZIP_LEVEL = 4  # of the pictures, as a middle between size and time
 
 
 def write(
-    source: Source, episodes: Sequence[Episode], touches: Sequence[Sequence[Touch]], out: Path, *, overwrite: bool
+    source: Episodes,
+    episodes: Sequence[Recorded],
+    touches: Sequence[Sequence[Touch]],
+    out: Path,
+    *,
+    overwrite: bool,
 ) -> list[Path]:
     """Write the copy `out`, which appears when it is complete.
 
@@ -55,7 +60,7 @@ def write(
     return [out]
 
 
-def _add(path: Path, file: Any, episode: Episode, fingers: Sequence[Touch]) -> None:
+def _add(path: Path, file: Any, episode: Recorded, fingers: Sequence[Touch]) -> None:
     """Touch of all fingers into a demonstration."""
     demonstration = _group(path, file, episode)
     for name, later in (("obs", 0), ("next_obs", 1)):
@@ -74,7 +79,7 @@ def _add(path: Path, file: Any, episode: Episode, fingers: Sequence[Touch]) -> N
             _put(path, group, touch, rows)
 
 
-def _group(path: Path, file: Any, episode: Episode) -> Any:
+def _group(path: Path, file: Any, episode: Recorded) -> Any:
     """The group of a demonstration: below `data` as in robomimic and LIBERO, or alone as in ManiSkill."""
     for place in (f"data/{episode.name}", episode.name):
         try:

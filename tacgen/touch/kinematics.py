@@ -12,7 +12,7 @@ import numpy as np
 from tacgen.base import regular_file
 from tacgen.base.errors import UserError, why
 from tacgen.touch import surfaces
-from tacgen.touch.episode import Surface, Thing
+from tacgen.touch.episode import BodySurface, Thing
 from tacgen.touch.surfaces import RigidPart
 
 Array = np.ndarray
@@ -198,7 +198,7 @@ class Kinematics:
             for thing in things for name, group in named if group != groups[m.body(thing).id]
         }  # fmt: skip
 
-    def thing(self, body: str, surface: Surface | None = None) -> Thing:
+    def thing(self, body: str, surface: BodySurface | None = None) -> Thing:
         """An object of the model, with the surface of its geometry where none is given.
 
         Raises:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.touch.episode import Array, Episode, Touch
+from tacgen.touch.episode import Array, Recorded, Touch
 
 # components and units of the columns that have several, or a unit
 COMPONENTS = {
@@ -36,8 +36,8 @@ def columns(touch: Touch) -> dict[str, Array]:
 
 
 def by_episode(
-    episodes: Sequence[Episode], touches: Sequence[Sequence[Touch]]
-) -> dict[int, tuple[Episode, Sequence[Touch]]]:
+    episodes: Sequence[Recorded], touches: Sequence[Sequence[Touch]]
+) -> dict[int, tuple[Recorded, Sequence[Touch]]]:
     """Episodes and their fingers by the index of the episode.
 
     Raises:
@@ -55,12 +55,12 @@ def by_episode(
     return {episode.index: (episode, felt) for episode, felt in pairs}
 
 
-def title(episode: Episode) -> str:
+def title(episode: Recorded) -> str:
     """The name of an episode, `episode 3` where that is a number."""
     return f"episode {episode.name}" if episode.name.isdecimal() else episode.name or f"episode {episode.index}"
 
 
-def file_name(episode: Episode) -> str:
+def file_name(episode: Recorded) -> str:
     """The title of an episode as the name of a file."""
     return re.sub(r"[^\w.-]+", "-", title(episode)).strip("-.") or f"episode-{episode.index}"
 

@@ -1,4 +1,4 @@
-"""Rows of any file as an Episode: joint states through a model, columns as poses, forces and grip; then the checks."""
+"""Rows of any file as a recorded episode: joint states through a model, columns as poses, forces, grip; and checks."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import numpy as np
 from tacgen.base.errors import UserError
 from tacgen.touch import oddities, surfaces
 from tacgen.touch.columns import ColumnNames, Get, picked, poses
-from tacgen.touch.episode import Episode, Thing
+from tacgen.touch.episode import Recorded, Thing
 from tacgen.touch.kinematics import ENDINGS, FREE, M_TO_MM, Kinematics, States
 
 Array = np.ndarray
@@ -23,8 +23,8 @@ class RecordedRows:
 
     time (n,) [s]; get: a feature by its name; named, commands: observed numbers and commands (n,) by their names;
     qpos, qvel: the model's states, where the file holds them whole; bodies: poses (n, 4, 4) [mm]; base: poses of the
-    model's own world; forces (n, 3) [N] as an Episode has them; width (n,) [mm] between the fingers; model: that of the
-    episode.
+    model's own world; forces (n, 3) [N] as a recorded episode has them; width (n,) [mm] between the fingers; model:
+    that of the episode.
     """
 
     name: str
@@ -43,8 +43,8 @@ class RecordedRows:
 
 @dataclass(frozen=True)
 class Recording:
-    """Recorded episodes, a Source. row: of an episode by its place; asked: `--object`s, text by name, "" for a body of
-    the model; columns: what the names in the file do not say."""
+    """Recorded episodes, an `Episodes`. row: of an episode by its place; asked: `--object`s, text by name, "" for a body
+    of the model; columns: what the names in the file do not say."""
 
     path: Path
     kind: str
@@ -66,12 +66,12 @@ class Recording:
     def _first_model(self) -> Kinematics | None:
         return self.rows(0).model
 
-    def episodes(self) -> Iterator[Episode]:
+    def episodes(self) -> Iterator[Recorded]:
         """In order. Raises UserError, one line, where an episode cannot be read or is not plausible."""
         for number in range(self.count):
             yield self.episode(number)
 
-    def episode(self, number: int) -> Episode:
+    def episode(self, number: int) -> Recorded:
         """One episode by its place; raises as `episodes` does."""
         rows = self.rows(number)
         where = f"{self.path}: episode {rows.name}"
@@ -91,7 +91,7 @@ class Recording:
         except (UserError, ValueError) as error:
             raise UserError(f"{where}: {error}") from None
         gravity = DEFAULT_GRAVITY if rows.model is None else rows.model.gravity
-        found = Episode(number, rows.name, rows.time, bodies | own, forces, grip, gravity)
+        found = Recorded(number, rows.name, rows.time, bodies | own, forces, grip, gravity)
         if lost := [name for name in self.things if name not in found.bodies]:
             known = ", ".join(found.bodies) or "none"
             raise UserError(f"{where}: has no poses of {lost[0]} (of {known}): name its columns under bodies")

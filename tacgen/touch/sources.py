@@ -23,7 +23,7 @@ def open_source(
     objects: Iterable[str] = (),
     columns: Path | Mapping[str, Any] | None = None,
 ) -> Recording:
-    """The episodes in a file or folder, a Source.
+    """The episodes in a file or folder, an Episodes.
 
     Args:
         path: one of EPISODE_FILES.

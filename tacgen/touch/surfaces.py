@@ -18,7 +18,7 @@ from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import Indenter
 from tacgen.sensor import yaml_source
-from tacgen.touch.episode import Surface
+from tacgen.touch.episode import BodySurface
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,7 +45,7 @@ class RigidPart:
     triangles: Array | None = None
 
 
-def of_solids(name: str, solids: Sequence[RigidPart]) -> Surface:
+def of_solids(name: str, solids: Sequence[RigidPart]) -> BodySurface:
     """The surface of a body of one or several parts. Raises UserError: of none, or too small or large for mm."""
     if not solids:
         raise UserError(f"object {name}: has no geometry: give --object {name}=MESH")
@@ -54,7 +54,7 @@ def of_solids(name: str, solids: Sequence[RigidPart]) -> Surface:
     return of_mesh_file(name, _kept(name, [_mesh(solid) for solid in solids]))
 
 
-def of_text(name: str, text: str) -> Surface:
+def of_text(name: str, text: str) -> BodySurface:
     """The surface that an option gives: a mesh file, a shipped object or a shape `{shape: sphere, radius_mm: 10}`,
     whose centre is the body's origin. Raises UserError: it is none of these."""
     if not text.lstrip().startswith("{"):
@@ -72,10 +72,10 @@ def of_text(name: str, text: str) -> Surface:
     half = getattr(indenter, "length_mm", None) or 0.0
     lower = {"sphere": "radius_mm", "capsule": "radius_mm", "torus": "tube_radius_mm"}.get(indenter.shape)
     pose[2, 3] = -(getattr(indenter, lower) if lower else half / 2 if indenter.shape == "cylinder" else 0.0)
-    return Surface(data, pose)
+    return BodySurface(data, pose)
 
 
-def of_mesh_file(name: str, file: Path, given: Mapping[str, Any] | None = None) -> Surface:
+def of_mesh_file(name: str, file: Path, given: Mapping[str, Any] | None = None) -> BodySurface:
     """The surface of a mesh file, whose frame, scaled to mm, is the body's. Raises UserError: it is no closed mesh, or
     its lengths can hardly be mm."""
     indenter = {"shape": "mesh", "file": str(file), **(given or {})}
@@ -86,24 +86,26 @@ def of_mesh_file(name: str, file: Path, given: Mapping[str, Any] | None = None) 
     if not MIN_SIZE_MM <= size <= MAX_SIZE_MM:
         other = "metres: give {shape: mesh, file: ..., scale: 1000}" if size < MIN_SIZE_MM else "not mm: give a scale"
         raise UserError(f"object {name}: {file.name} is {size:.3g} mm long: its lengths are probably {other}")
-    return Surface(indenter, mesh_import.placement(solid, **how))
+    return BodySurface(indenter, mesh_import.placement(solid, **how))
 
 
-def _analytic(solid: RigidPart) -> Surface | None:
+def _analytic(solid: RigidPart) -> BodySurface | None:
     """A ball, a rod with round ends or a round rod; a recipe's box has no upper end."""
     radius, half = float(solid.size[0]), float(solid.size[1])
     down = np.eye(4)
     if solid.kind == "sphere":
         down[2, 3] = -radius
-        return Surface({"shape": "sphere", "radius_mm": radius}, solid.pose @ down)
+        return BodySurface({"shape": "sphere", "radius_mm": radius}, solid.pose @ down)
     if solid.kind == "capsule":
         down[2, 3] = -radius
-        return Surface({"shape": "capsule", "radius_mm": radius, "length_mm": 2 * half}, solid.pose @ ALONG_Z @ down)
+        return BodySurface(
+            {"shape": "capsule", "radius_mm": radius, "length_mm": 2 * half}, solid.pose @ ALONG_Z @ down
+        )
     if solid.kind == "cylinder":
         down[2, 3] = -half
         fillet = min(LARGEST_FILLET_MM, MAX_FILLET_PART * min(radius, half))
         rod = {"shape": "cylinder", "radius_mm": radius, "fillet_mm": fillet, "length_mm": 2 * half}
-        return Surface(rod, solid.pose @ down)
+        return BodySurface(rod, solid.pose @ down)
     return None
 
 

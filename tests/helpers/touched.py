@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.touch.episode import Episode, Surface, Thing, Touch
+from tacgen.touch.episode import BodySurface, Recorded, Thing, Touch
 
 ROWS, FPS, MARKERS = 20, 10.0, 4
 IMAGE = (24, 32, 3)  # of the tactile sensor
@@ -24,12 +24,12 @@ class Recorded:
     kind: str = "lerobot"
     fps: float = FPS
     things: Mapping[str, Thing] = field(default_factory=dict)
-    held: tuple[Episode, ...] = ()
+    held: tuple[Recorded, ...] = ()
 
     def __len__(self) -> int:
         return len(self.held)
 
-    def episodes(self) -> Iterator[Episode]:
+    def episodes(self) -> Iterator[Recorded]:
         return iter(self.held)
 
 
@@ -40,8 +40,8 @@ def recorded(path: Path, kind: str = "lerobot", name: str = "demo_{}") -> Record
         poses = np.tile(np.eye(4), (ROWS, 1, 1))
         poses[:, 2, 3] = 100 + np.arange(ROWS)
         beside = {f"finger_{side}": poses + np.eye(4)[3] * 0 for side in ("left", "right")}
-        held.append(Episode(index, name.format(index), np.arange(ROWS) / FPS, {"cube": poses, **beside}))
-    things = {"cube": Thing("cube", Surface(CUBE, np.eye(4)), 0.05)}
+        held.append(Recorded(index, name.format(index), np.arange(ROWS) / FPS, {"cube": poses, **beside}))
+    things = {"cube": Thing("cube", BodySurface(CUBE, np.eye(4)), 0.05)}
     return Recorded(path, kind, FPS, things, tuple(held))
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tacgen.base.errors import UserError
 from tacgen.recipe.trajectory import Placement
-from tacgen.touch.episode import Episode, Finger, Surface, Thing
+from tacgen.touch.episode import BodySurface, Finger, Recorded, Thing
 
 Array = np.ndarray
 RADIUS = 4.0
@@ -22,7 +22,7 @@ def ball(name: str, mass: float | None = None) -> Thing:
     """A ball whose body's frame is at its centre."""
     centre = np.eye(4)
     centre[2, 3] = -RADIUS
-    return Thing(name, Surface({"shape": "sphere", "radius_mm": RADIUS}, centre), mass)
+    return Thing(name, BodySurface({"shape": "sphere", "radius_mm": RADIUS}, centre), mass)
 
 
 def mount() -> Array:
@@ -47,14 +47,14 @@ def over(gaps: Sequence[float], x: float | Sequence[float] = 0.0) -> Array:
     return hand(len(gaps)) @ mount() @ local
 
 
-def episode(balls: Mapping[str, Array], index: int = 0, fps: float = 10.0, forces: Array | None = None) -> Episode:
+def episode(balls: Mapping[str, Array], index: int = 0, fps: float = 10.0, forces: Array | None = None) -> Recorded:
     """Of balls by their poses; forces: on the finger by the first one, in the sensor's frame."""
     n = len(next(iter(balls.values())))
     pair = {}
     if forces is not None:
         turned = np.einsum("nij,nj->ni", (hand(n) @ mount())[:, :3, :3], forces)
         pair[("hand", next(iter(balls)))] = turned
-    return Episode(index, f"episode {index}", np.arange(n) / fps, {"hand": hand(n), **balls}, pair)
+    return Recorded(index, f"episode {index}", np.arange(n) / fps, {"hand": hand(n), **balls}, pair)
 
 
 class Made:
@@ -63,17 +63,17 @@ class Made:
     kind: str = "log"
     fps: float = 10.0
 
-    def __init__(self, each: Sequence[Episode | str], things: Sequence[Thing], path: Path = Path("made")) -> None:
+    def __init__(self, each: Sequence[Recorded | str], things: Sequence[Thing], path: Path = Path("made")) -> None:
         self.each, self.path = each, path
         self.things: Mapping[str, Thing] = {thing.body: thing for thing in things}
 
     def __len__(self) -> int:
         return len(self.each)
 
-    def episodes(self) -> Iterator[Episode]:
+    def episodes(self) -> Iterator[Recorded]:
         return map(self.episode, range(len(self)))
 
-    def episode(self, number: int) -> Episode:
+    def episode(self, number: int) -> Recorded:
         one = self.each[number]
         if isinstance(one, str):
             raise UserError(one)

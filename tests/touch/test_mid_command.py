@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli.main import app
 from tacgen.touch import copies, sources
-from tacgen.touch.episode import Episode, Source, Touch
+from tacgen.touch.episode import Episodes, Recorded, Touch
 from touch.made_source import COARSE, MOUNT, Made, ball, episode, over
 
 GAPS = [60.0, 9.0, 0.6, -0.2, -0.4, 0.5, 12.0]
@@ -28,7 +28,12 @@ def written(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     found: list[Any] = []
 
     def write(
-        source: Source, episodes: Sequence[Episode], touches: Sequence[Sequence[Touch]], out: Path, *, overwrite: bool
+        source: Episodes,
+        episodes: Sequence[Recorded],
+        touches: Sequence[Sequence[Touch]],
+        out: Path,
+        *,
+        overwrite: bool,
     ) -> list[Path]:
         found.append((out, episodes, touches))
         return [out]
