@@ -8,7 +8,7 @@ from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.touch import into_lerobot
-from tacgen.touch.episode import Episodes, Recorded, Touch
+from tacgen.touch.episode import EpisodeLog, Episodes, Touch
 
 WRITER_OF_SUFFIX = {".rrd": "into_rerun", **dict.fromkeys(animation.ANIMATION_WRITERS, "film")}
 WRITER_OF_KIND = {"lerobot": "into_lerobot", "robomimic": "into_robomimic"}
@@ -29,7 +29,7 @@ def refuse(source: Episodes, episodes: int, out: Path, *, overwrite: bool) -> No
 
 def write(
     source: Episodes,
-    episodes: Sequence[Recorded],
+    episodes: Sequence[EpisodeLog],
     touches: Sequence[Sequence[Touch]],
     out: Path,
     *,

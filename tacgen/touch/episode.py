@@ -44,7 +44,7 @@ class Finger:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class EpisodeLog:
     """The n rows of an episode.
 
     time (n,) [s], increasing; bodies: poses (n, 4, 4) [mm] in the world by name, nan where a row has none; forces:
@@ -82,10 +82,10 @@ class Episodes(Protocol):
 
     def __len__(self) -> int: ...
 
-    def episodes(self) -> Iterator[Recorded]:
+    def episodes(self) -> Iterator[EpisodeLog]:
         """In order. Raises UserError, one line, where an episode cannot be read."""
 
-    def episode(self, number: int) -> Recorded:
+    def episode(self, number: int) -> EpisodeLog:
         """The one at this place, from 0; raises as `episodes` does."""
 
 

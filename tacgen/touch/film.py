@@ -11,7 +11,7 @@ from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.report.force_figure import OUR_COLOUR, THEIR_COLOUR
 from tacgen.report.sheet import Page
-from tacgen.touch.episode import Array, Episodes, Recorded, Touch
+from tacgen.touch.episode import Array, EpisodeLog, Episodes, Touch
 from tacgen.touch.label_columns import by_episode, file_name, title
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ LIFTED_AT, NOTE_AT = 1.03, -0.02  # height of the marks over the plot's [-]
 
 def write(
     source: Episodes,
-    episodes: Sequence[Recorded],
+    episodes: Sequence[EpisodeLog],
     touches: Sequence[Sequence[Touch]],
     out: Path,
     *,
@@ -51,7 +51,7 @@ def write(
     return made
 
 
-def _draw(episode: Recorded, fingers: Sequence[Touch], rows: Array, writer: object, out: Path) -> None:
+def _draw(episode: EpisodeLog, fingers: Sequence[Touch], rows: Array, writer: object, out: Path) -> None:
     """One frame for each of `rows`."""
     time = episode.time - episode.time[0]
     shape = fingers[0].image(0).shape

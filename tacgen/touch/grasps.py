@@ -8,7 +8,7 @@ import numpy as np
 from tacgen.recipe.model import Grasp
 from tacgen.replay.written_recipe import POSE_TITLES
 from tacgen.touch import intervals
-from tacgen.touch.episode import Recorded, Thing
+from tacgen.touch.episode import EpisodeLog, Thing
 from tacgen.touch.intervals import AtFinger, Interval
 
 Array = np.ndarray
@@ -22,7 +22,7 @@ NOT_FACING = (
 )
 
 
-def paired(episode: Recorded, at: Sequence[AtFinger]) -> tuple[list[Interval], list[tuple[Interval, str]]]:
+def paired(episode: EpisodeLog, at: Sequence[AtFinger]) -> tuple[list[Interval], list[tuple[Interval, str]]]:
     """The intervals in which both fingers are near an object, and the ones that are no grasp, with the reason."""
     left, right = at
     found, refused = list[Interval](), list[tuple[Interval, str]]()
@@ -52,14 +52,14 @@ def _covered(at: AtFinger, thing: Thing, n: int) -> Array:
     return covered
 
 
-def _sensors(episode: Recorded, interval: Interval) -> tuple[Array, Array]:
+def _sensors(episode: EpisodeLog, interval: Interval) -> tuple[Array, Array]:
     """The poses of both sensors in all rows (n, 4, 4)."""
     assert interval.other is not None
     left, right = (intervals.mounted(one, episode.bodies[one.body]) for one in (interval.finger, interval.other))
     return left, right
 
 
-def _facing(episode: Recorded, interval: Interval) -> bool:
+def _facing(episode: EpisodeLog, interval: Interval) -> bool:
     left, right = (poses[interval.log.row] for poses in _sensors(episode, interval))
     apart = right[:, :3, 3] - left[:, :3, 3]
     inside = np.einsum("nji,nj->ni", left[:, :3, :3], apart)  # in the frame of the left one
@@ -67,7 +67,7 @@ def _facing(episode: Recorded, interval: Interval) -> bool:
     return bool((np.abs(turned) < MAX_FACING_ERROR).all() and (np.abs(inside[:, :2]) < MAX_ASIDE_MM).all())
 
 
-def _grip(episode: Recorded, interval: Interval, at: Sequence[AtFinger]) -> Array:
+def _grip(episode: EpisodeLog, interval: Interval, at: Sequence[AtFinger]) -> Array:
     """The grip (n,) [N] of each finger, 0 unless both touch: as it was told or, where that is not known, the mean of
     the engine's normal forces."""
     grip = np.mean([each.engine for each in at], axis=0) if episode.grip is None else episode.grip
@@ -75,7 +75,7 @@ def _grip(episode: Recorded, interval: Interval, at: Sequence[AtFinger]) -> Arra
     return np.where(touching, grip, 0.0)
 
 
-def table(interval: Interval, episode: Recorded, at: Sequence[AtFinger]) -> str:
+def table(interval: Interval, episode: EpisodeLog, at: Sequence[AtFinger]) -> str:
     """The table of a grasp: poses of gripper and object, grip and width."""
     from scipy.spatial.transform import Rotation
 

@@ -13,7 +13,7 @@ from tacgen.replay import selection
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.replay.contact_log import ContactLog
 from tacgen.replay.selection import MAX_FACE_POINT_DISTANCE_MM, RecordedBody
-from tacgen.touch.episode import Finger, Recorded, Thing
+from tacgen.touch.episode import EpisodeLog, Finger, Thing
 
 Array = np.ndarray
 ROWS_BEFORE, ROWS_AFTER = 2, 1  # of an interval, in which nothing is near: from there the object comes and goes
@@ -88,7 +88,7 @@ def body_of(thing: Thing) -> RecordedBody:
 
 
 def contacts(
-    episode: Recorded,
+    episode: EpisodeLog,
     finger: Finger,
     things: Mapping[str, tuple[Thing, RecordedBody]],
     gel: GelBody,
@@ -139,12 +139,12 @@ def contacts(
     return AtFinger(finger, tuple(found), held, engine, note)
 
 
-def recorded(episode: Recorded, body: str) -> bool:
+def recorded(episode: EpisodeLog, body: str) -> bool:
     """Whether an episode has a pose of a body in any row."""
     return body in episode.bodies and bool(np.isfinite(episode.bodies[body]).all((1, 2)).any())
 
 
-def log_of(episode: Recorded, finger: Finger, thing: Thing) -> ContactLog:
+def log_of(episode: EpisodeLog, finger: Finger, thing: Thing) -> ContactLog:
     """All rows of an object and of a finger's body; the force is that on the finger by the object, where it is
     recorded."""
     force = episode.forces.get((finger.body, thing.body))

@@ -33,7 +33,7 @@ from tacgen.base.output_file import add
 from tacgen.bundle import whole_folder
 from tacgen.bundle.image_file import encoded
 from tacgen.export.lerobot import DATA_PATH, FILES_PER_FOLDER, PARQUET_FILE_BYTES, TACTILE_PREFIX, statistics
-from tacgen.touch.episode import Array, Episodes, Recorded, Touch
+from tacgen.touch.episode import Array, EpisodeLog, Episodes, Touch
 from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
 
 FOLDER_KIND = "touch for LeRobot"  # of `whole_folder`
@@ -48,7 +48,7 @@ Statistics = dict[str, dict[str, list]]
 
 def write(
     source: Episodes,
-    episodes: Sequence[Recorded],
+    episodes: Sequence[EpisodeLog],
     touches: Sequence[Sequence[Touch]],
     out: Path,
     *,
@@ -158,7 +158,7 @@ def _copy(given: Path, folder: Path) -> None:
 def _data(
     given: Path,
     folder: Path,
-    felt: dict[int, tuple[Recorded, Sequence[Touch]]],
+    felt: dict[int, tuple[EpisodeLog, Sequence[Touch]]],
     like: Sequence[Touch],
     texts: dict[str, list[str]],
     new: dict[str, dict[str, Any]],

@@ -21,7 +21,7 @@ from tacgen.base.errors import UserError
 from tacgen.export.rerun import SUFFIX, curves, image_of, new_recording
 from tacgen.recipe.indenters import Indenter
 from tacgen.report.field_figure import surface_of
-from tacgen.touch.episode import Episodes, Recorded, Thing, Touch
+from tacgen.touch.episode import EpisodeLog, Episodes, Thing, Touch
 from tacgen.touch.label_columns import by_episode, file_name, title
 
 MAX_SHOWN_MM = 150.0  # of shapes without an end
@@ -30,7 +30,7 @@ AXIS_LENGTH_MM = 20.0  # of the axes of a body [mm]
 
 def write(
     source: Episodes,
-    episodes: Sequence[Recorded],
+    episodes: Sequence[EpisodeLog],
     touches: Sequence[Sequence[Touch]],
     out: Path,
     *,
@@ -58,7 +58,7 @@ def write(
     return made
 
 
-def recording(source: Episodes, episode: Recorded, fingers: Sequence[Touch]) -> bytes:
+def recording(source: Episodes, episode: EpisodeLog, fingers: Sequence[Touch]) -> bytes:
     """The episode as the bytes of a recording."""
     import rerun as rr
 

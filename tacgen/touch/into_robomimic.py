@@ -24,7 +24,7 @@ import numpy as np
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.hdf5_file import item_at, open_file, text_type, written_file
-from tacgen.touch.episode import Array, Episodes, Recorded, Touch
+from tacgen.touch.episode import Array, EpisodeLog, Episodes, Touch
 from tacgen.touch.label_columns import by_episode, columns
 
 GZIP_LEVEL = 4  # of the pictures, as a middle between size and time
@@ -32,7 +32,7 @@ GZIP_LEVEL = 4  # of the pictures, as a middle between size and time
 
 def write(
     source: Episodes,
-    episodes: Sequence[Recorded],
+    episodes: Sequence[EpisodeLog],
     touches: Sequence[Sequence[Touch]],
     out: Path,
     *,
@@ -60,7 +60,7 @@ def write(
     return [out]
 
 
-def _add(path: Path, file: Any, episode: Recorded, fingers: Sequence[Touch]) -> None:
+def _add(path: Path, file: Any, episode: EpisodeLog, fingers: Sequence[Touch]) -> None:
     """Touch of all fingers into a demonstration."""
     demonstration = _group(path, file, episode)
     for name, later in (("obs", 0), ("next_obs", 1)):
@@ -79,7 +79,7 @@ def _add(path: Path, file: Any, episode: Recorded, fingers: Sequence[Touch]) -> 
             _put(path, group, touch, rows)
 
 
-def _group(path: Path, file: Any, episode: Recorded) -> Any:
+def _group(path: Path, file: Any, episode: EpisodeLog) -> Any:
     """The group of a demonstration: below `data` as in robomimic and LIBERO, or alone as in ManiSkill."""
     for place in (f"data/{episode.name}", episode.name):
         try:

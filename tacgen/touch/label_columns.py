@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.touch.episode import Array, Recorded, Touch
+from tacgen.touch.episode import Array, EpisodeLog, Touch
 
 # components and units of the columns that have several, or a unit
 COMPONENTS = {
@@ -36,8 +36,8 @@ def columns(touch: Touch) -> dict[str, Array]:
 
 
 def by_episode(
-    episodes: Sequence[Recorded], touches: Sequence[Sequence[Touch]]
-) -> dict[int, tuple[Recorded, Sequence[Touch]]]:
+    episodes: Sequence[EpisodeLog], touches: Sequence[Sequence[Touch]]
+) -> dict[int, tuple[EpisodeLog, Sequence[Touch]]]:
     """Episodes and their fingers by the index of the episode.
 
     Raises:
@@ -55,12 +55,12 @@ def by_episode(
     return {episode.index: (episode, felt) for episode, felt in pairs}
 
 
-def title(episode: Recorded) -> str:
+def title(episode: EpisodeLog) -> str:
     """The name of an episode, `episode 3` where that is a number."""
     return f"episode {episode.name}" if episode.name.isdecimal() else episode.name or f"episode {episode.index}"
 
 
-def file_name(episode: Recorded) -> str:
+def file_name(episode: EpisodeLog) -> str:
     """The title of an episode as the name of a file."""
     return re.sub(r"[^\w.-]+", "-", title(episode)).strip("-.") or f"episode-{episode.index}"
 

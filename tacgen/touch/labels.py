@@ -14,7 +14,7 @@ from tacgen.bundle.resume import SceneResult
 from tacgen.outputs.contact_modes import CONTACT_MODES
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.touch import intervals
-from tacgen.touch.episode import Finger, Recorded, Thing, Touch
+from tacgen.touch.episode import EpisodeLog, Finger, Thing, Touch
 from tacgen.touch.intervals import AtFinger, Interval
 from tacgen.touch.scenes import TouchScenes
 
@@ -155,7 +155,7 @@ def _pictures(frames: Mapping[int, tuple[Bundle, int] | None], untouched: Bundle
     return picture
 
 
-def _lifted(episode: Recorded, touches: Sequence[Touch], prepared: TouchScenes) -> list[Touch]:
+def _lifted(episode: EpisodeLog, touches: Sequence[Touch], prepared: TouchScenes) -> list[Touch]:
     """Touches of all fingers, with the rows in which they together bear the object."""
     down = np.asarray(episode.gravity, float)
     if not (strength := float(np.linalg.norm(down))):
@@ -176,13 +176,13 @@ def _lifted(episode: Recorded, touches: Sequence[Touch], prepared: TouchScenes) 
     ]  # fmt: skip
 
 
-def _up(episode: Recorded, finger: Finger, force: Array, down: Array) -> Array:
+def _up(episode: EpisodeLog, finger: Finger, force: Array, down: Array) -> Array:
     """The force (n,) [N] against gravity on what a finger touches, from that on its gel (n, 3)."""
     frames = intervals.mounted(finger, episode.bodies[finger.body])
     return np.asarray(np.einsum("nij,nj,i->n", frames[:, :3, :3], force, down))
 
 
-def _is_lifted(episode: Recorded, thing: Thing, borne: Array, down: Array, strength: float) -> Array:
+def _is_lifted(episode: EpisodeLog, thing: Thing, borne: Array, down: Array, strength: float) -> Array:
     height = -episode.bodies[thing.body][:, :3, 3] @ down
     known = height[np.isfinite(height)]
     higher = height > (known[0] if len(known) else 0.0) + MIN_LIFTED_MM

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tacgen.base.errors import LeftOut, UserError
-from tacgen.touch.episode import Recorded
+from tacgen.touch.episode import EpisodeLog
 
 Array = np.ndarray
 MAX_STEP_RATIO = 1.5  # time between two rows over that of the nominal rate: above it a row is missing [-]
@@ -16,7 +16,7 @@ MIN_SPAN_MM, MAX_SPAN_MM = 5.0, 50_000.0  # of all positions of an episode
 MIN_CLOSING_MM = 1.0  # change of a gripper's width that is a grasp
 
 
-def refuse(episode: Recorded, fps: float, where: str) -> None:
+def refuse(episode: EpisodeLog, fps: float, where: str) -> None:
     """Raise UserError if rows are missing, are no numbers or jump, or if lengths can hardly be as they are said to be.
 
     Args:
@@ -70,7 +70,7 @@ def _refuse_units(bodies: Mapping[str, Array], where: str) -> None:
         raise UserError(f"{where}: its bodies are {span / 1000:.3g} m apart: are its lengths mm? Say units: mm")
 
 
-def note(episode: Recorded, width: Array | None, where: str) -> None:
+def note(episode: EpisodeLog, width: Array | None, where: str) -> None:
     """Warn by LeftOut of a gripper that never closes, as far as grip, forces or the width (n,) [mm] tell."""
     told = [grip := episode.grip, width, *episode.forces.values()]
     if all(each is None for each in told):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
-from tacgen.touch.episode import Recorded, Touch
+from tacgen.touch.episode import EpisodeLog, Touch
 from tacgen.touch.scenes import TouchScenes
 
 MAX_LISTED_NOTES = 12  # lines about rows that are not as asked
@@ -48,7 +48,7 @@ def text(said: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def engine_table(episodes: Sequence[Recorded], touches: Sequence[Sequence[Touch]]) -> list[dict[str, Any]]:
+def engine_table(episodes: Sequence[EpisodeLog], touches: Sequence[Sequence[Touch]]) -> list[dict[str, Any]]:
     """The engine's normal force beside tacgen's, for each episode, finger and object: largest of each, and the median
     of the engine's over tacgen's where both have one."""
     found = []
@@ -82,7 +82,7 @@ def engine_lines(table: Sequence[dict[str, Any]]) -> list[str]:
     return [head, *("  " + "  ".join(cell.rjust(w) for cell, w in zip(row, wide, strict=True)) for row in rows)]
 
 
-def notes(episodes: Sequence[Recorded], touches: Sequence[Sequence[Touch]]) -> list[str]:
+def notes(episodes: Sequence[EpisodeLog], touches: Sequence[Sequence[Touch]]) -> list[str]:
     """Why rows are not as asked: a line for each reason, with the number of rows."""
     why: Counter[str] = Counter()
     for episode, each in zip(episodes, touches, strict=True):

@@ -10,7 +10,7 @@ import numpy as np
 from tacgen.base.errors import UserError
 from tacgen.touch import oddities, surfaces
 from tacgen.touch.columns import ColumnNames, Get, picked, poses
-from tacgen.touch.episode import Recorded, Thing
+from tacgen.touch.episode import EpisodeLog, Thing
 from tacgen.touch.kinematics import ENDINGS, FREE, M_TO_MM, Kinematics, States
 
 Array = np.ndarray
@@ -43,8 +43,8 @@ class RecordedRows:
 
 @dataclass(frozen=True)
 class Recording:
-    """Recorded episodes, an `Episodes`. row: of an episode by its place; asked: `--object`s, text by name, "" for a body
-    of the model; columns: what the names in the file do not say."""
+    """Recorded episodes, as `Episodes`. row: of an episode by its place; asked: `--object`s, text by name, "" for a
+    body of the model; columns: what the names in the file do not say."""
 
     path: Path
     kind: str
@@ -66,12 +66,12 @@ class Recording:
     def _first_model(self) -> Kinematics | None:
         return self.rows(0).model
 
-    def episodes(self) -> Iterator[Recorded]:
+    def episodes(self) -> Iterator[EpisodeLog]:
         """In order. Raises UserError, one line, where an episode cannot be read or is not plausible."""
         for number in range(self.count):
             yield self.episode(number)
 
-    def episode(self, number: int) -> Recorded:
+    def episode(self, number: int) -> EpisodeLog:
         """One episode by its place; raises as `episodes` does."""
         rows = self.rows(number)
         where = f"{self.path}: episode {rows.name}"
@@ -91,7 +91,7 @@ class Recording:
         except (UserError, ValueError) as error:
             raise UserError(f"{where}: {error}") from None
         gravity = DEFAULT_GRAVITY if rows.model is None else rows.model.gravity
-        found = Recorded(number, rows.name, rows.time, bodies | own, forces, grip, gravity)
+        found = EpisodeLog(number, rows.name, rows.time, bodies | own, forces, grip, gravity)
         if lost := [name for name in self.things if name not in found.bodies]:
             known = ", ".join(found.bodies) or "none"
             raise UserError(f"{where}: has no poses of {lost[0]} (of {known}): name its columns under bodies")

@@ -26,7 +26,7 @@ from tacgen.replay.preparation import WRITTEN_KEYS
 from tacgen.replay.selection import FACE_SPACING_MM, RecordedBody
 from tacgen.sensor.yaml_source import Tree
 from tacgen.touch import grasps, intervals
-from tacgen.touch.episode import Episodes, Finger, Recorded
+from tacgen.touch.episode import EpisodeLog, Episodes, Finger
 from tacgen.touch.intervals import AtFinger, Interval, Rate
 
 TABLE_KEY = "trajectory[0].replay.file"
@@ -71,7 +71,7 @@ class TouchScenes:
     solved, with the reason; untouched: name of a finger -> the scene of its sensor without contact."""
 
     plan: Plan
-    episodes: tuple[Recorded, ...]
+    episodes: tuple[EpisodeLog, ...]
     contacts: tuple[tuple[AtFinger, ...], ...]  # of each episode, at each finger
     scenes: Mapping[int, Interval]
     refused: tuple[tuple[Interval, str], ...]
@@ -92,7 +92,7 @@ def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, fol
     gels = {name: scene_of_row.gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
             for name, row in bases.items()}  # fmt: skip
     things = {name: (thing, intervals.body_of(thing)) for name, thing in source.things.items()}
-    notes, episodes = list[str](), list[Recorded]()
+    notes, episodes = list[str](), list[EpisodeLog]()
     contacts = list[tuple[AtFinger, ...]]()
     for episode in _readable(source, chosen, notes):
         episodes.append(episode)
@@ -138,7 +138,7 @@ def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, fol
     )  # fmt: skip
 
 
-def _readable(source: Episodes, chosen: range | None, notes: list[str]) -> Iterator[Recorded]:
+def _readable(source: Episodes, chosen: range | None, notes: list[str]) -> Iterator[EpisodeLog]:
     """The episodes of a source that can be read, and a note on each other one."""
     for number in range(len(source)) if chosen is None else chosen:
         if number < len(source):
@@ -183,7 +183,7 @@ class _Writer:
     asked: TouchChoice
     overwrite: bool
     notes: list[str]
-    episodes: Mapping[int, tuple[Recorded, tuple[AtFinger, ...]]]
+    episodes: Mapping[int, tuple[EpisodeLog, tuple[AtFinger, ...]]]
 
     def untouched(self, finger: Finger, base: Row) -> Plan:
         """The plan of a sensor that nothing touches."""

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tacgen.base.errors import UserError
 from tacgen.recipe.trajectory import Placement
-from tacgen.touch.episode import BodySurface, Finger, Recorded, Thing
+from tacgen.touch.episode import BodySurface, EpisodeLog, Finger, Thing
 
 Array = np.ndarray
 RADIUS = 4.0
@@ -47,14 +47,14 @@ def over(gaps: Sequence[float], x: float | Sequence[float] = 0.0) -> Array:
     return hand(len(gaps)) @ mount() @ local
 
 
-def episode(balls: Mapping[str, Array], index: int = 0, fps: float = 10.0, forces: Array | None = None) -> Recorded:
+def episode(balls: Mapping[str, Array], index: int = 0, fps: float = 10.0, forces: Array | None = None) -> EpisodeLog:
     """Of balls by their poses; forces: on the finger by the first one, in the sensor's frame."""
     n = len(next(iter(balls.values())))
     pair = {}
     if forces is not None:
         turned = np.einsum("nij,nj->ni", (hand(n) @ mount())[:, :3, :3], forces)
         pair[("hand", next(iter(balls)))] = turned
-    return Recorded(index, f"episode {index}", np.arange(n) / fps, {"hand": hand(n), **balls}, pair)
+    return EpisodeLog(index, f"episode {index}", np.arange(n) / fps, {"hand": hand(n), **balls}, pair)
 
 
 class Made:
@@ -63,17 +63,17 @@ class Made:
     kind: str = "log"
     fps: float = 10.0
 
-    def __init__(self, each: Sequence[Recorded | str], things: Sequence[Thing], path: Path = Path("made")) -> None:
+    def __init__(self, each: Sequence[EpisodeLog | str], things: Sequence[Thing], path: Path = Path("made")) -> None:
         self.each, self.path = each, path
         self.things: Mapping[str, Thing] = {thing.body: thing for thing in things}
 
     def __len__(self) -> int:
         return len(self.each)
 
-    def episodes(self) -> Iterator[Recorded]:
+    def episodes(self) -> Iterator[EpisodeLog]:
         return map(self.episode, range(len(self)))
 
-    def episode(self, number: int) -> Recorded:
+    def episode(self, number: int) -> EpisodeLog:
         one = self.each[number]
         if isinstance(one, str):
             raise UserError(one)

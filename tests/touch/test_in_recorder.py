@@ -9,12 +9,12 @@ from helpers.needs import needs
 from benchmarks import touch_episodes
 from tacgen.touch.sources import open_source
 
-Recorded = tuple[Path, list[touch_episodes.RecordedGrasp]]
+EpisodeLog = tuple[Path, list[touch_episodes.RecordedGrasp]]
 needs("mujoco")
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> EpisodeLog:
     """The folder, and the first two episodes, without pictures."""
     folder = tmp_path_factory.mktemp("episodes")
     model = touch_episodes.prepared(folder)
@@ -24,7 +24,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     return folder, made
 
 
-def test_poses_and_forces_are_those_of_the_simulation(recorded: Recorded) -> None:
+def test_poses_and_forces_are_those_of_the_simulation(recorded: EpisodeLog) -> None:
     folder, made = recorded
     source = open_source(folder / "robomimic.hdf5", columns={"ctrl": "actions", "grip": "actions[4]"})
     assert (source.fps, list(source.things)) == (30.0, ["box", "key", "gear", "bottle", "nut"])
@@ -38,7 +38,7 @@ def test_poses_and_forces_are_those_of_the_simulation(recorded: Recorded) -> Non
         assert not np.any([episode.forces[pad, "nut"] for pad in touch_episodes.PADS])
 
 
-def test_a_held_object_is_lifted_turned_and_put_into_the_other_stand(recorded: Recorded) -> None:
+def test_a_held_object_is_lifted_turned_and_put_into_the_other_stand(recorded: EpisodeLog) -> None:
     for number, grasp in enumerate(recorded[1]):
         mass = grasp.kind.mass
         held = (grasp.time > 3.0) & (grasp.time < 3.3)  # lifted and at rest, before the turn has speed
@@ -52,7 +52,7 @@ def test_a_held_object_is_lifted_turned_and_put_into_the_other_stand(recorded: R
         assert 90 < (np.abs(grasp.forces).max(1) > 0).sum() < 130  # rows in contact
 
 
-def test_lerobots_own_writer_and_our_reader_agree(recorded: Recorded, tmp_path: Path) -> None:
+def test_lerobots_own_writer_and_our_reader_agree(recorded: EpisodeLog, tmp_path: Path) -> None:
     needs("lerobot")
     _, made = recorded
     model = touch_episodes.prepared(tmp_path)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli.main import app
 from tacgen.touch import copies, sources
-from tacgen.touch.episode import Episodes, Recorded, Touch
+from tacgen.touch.episode import EpisodeLog, Episodes, Touch
 from touch.made_source import COARSE, MOUNT, Made, ball, episode, over
 
 GAPS = [60.0, 9.0, 0.6, -0.2, -0.4, 0.5, 12.0]
@@ -29,7 +29,7 @@ def written(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
     def write(
         source: Episodes,
-        episodes: Sequence[Recorded],
+        episodes: Sequence[EpisodeLog],
         touches: Sequence[Sequence[Touch]],
         out: Path,
         *,

@@ -12,7 +12,7 @@ from tacgen.batch import pipeline
 from tacgen.cli.touch import _fingers, _range, _window
 from tacgen.recipe import pose_table, scene_of_row
 from tacgen.touch import grasps, intervals, labels, scenes
-from tacgen.touch.episode import Finger, Recorded, Thing
+from tacgen.touch.episode import EpisodeLog, Finger, Thing
 from tacgen.touch.intervals import AtFinger
 from tacgen.touch.scenes import TouchChoice
 from touch.made_source import COARSE, Made, ball
@@ -23,7 +23,7 @@ WIDTHS = [40.0, 12.0, 8.5, 7.6, 7.6, 7.6, 9.0, 30.0]  # between the faces; the b
 HEIGHTS = [0.0, 0.0, 0.0, 0.0, 2.0, 4.0, 4.0, 4.0]
 
 
-def grasped(grip: bool = True, turned: bool = False) -> Recorded:
+def grasped(grip: bool = True, turned: bool = False) -> EpisodeLog:
     """Two sensors close on a ball and lift it: x is from the left to the right one, the images' x is y."""
     n = len(WIDTHS)
     poses = {name: np.tile(np.eye(4), (n, 1, 1)) for name in ("a", "b", "ball")}
@@ -32,10 +32,10 @@ def grasped(grip: bool = True, turned: bool = False) -> Recorded:
     poses["a"][:, 0, 3], poses["b"][:, 0, 3] = -np.array(WIDTHS) / 2, np.array(WIDTHS) / 2
     for each in poses.values():
         each[:, 2, 3] = HEIGHTS
-    return Recorded(0, "lift", np.arange(n) / 10, poses, grip=np.full(n, 3.0) if grip else None)
+    return EpisodeLog(0, "lift", np.arange(n) / 10, poses, grip=np.full(n, 3.0) if grip else None)
 
 
-def at_both(episode: Recorded, thing: Thing) -> list[AtFinger]:
+def at_both(episode: EpisodeLog, thing: Thing) -> list[AtFinger]:
     things, gel = {"ball": (thing, intervals.body_of(thing))}, scene_of_row.gel_of(row().sensor)
     return [intervals.contacts(episode, finger, things, gel, 1.0) for finger in (LEFT, RIGHT)]
 
@@ -59,7 +59,7 @@ def test_the_table_has_the_gripper_between_the_sensors(tmp_path: Path) -> None:
 
 
 def test_what_is_no_grasp_is_said() -> None:
-    def why(episode: Recorded, thing: Thing) -> list[str]:
+    def why(episode: EpisodeLog, thing: Thing) -> list[str]:
         found, refused = grasps.paired(episode, at_both(episode, thing))
         assert found == []
         return [text for _, text in refused]

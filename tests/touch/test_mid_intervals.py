@@ -9,14 +9,14 @@ from tacgen.recipe import scene_of_row
 from tacgen.recipe.trajectory import Placement
 from tacgen.replay import selection
 from tacgen.touch import intervals
-from tacgen.touch.episode import Recorded, Thing
+from tacgen.touch.episode import EpisodeLog, Thing
 from tacgen.touch.intervals import BETWEEN_ROWS, AtFinger, Rate
 from touch.made_source import FINGER, ball, episode, over
 
 GAPS = [60.0, 30.0, 9.0, 0.5, -0.2, -0.4, 0.4, 12.0, 40.0, 40.0, 40.0, 40.0, 0.6, -0.3, 8.0, 30.0]
 
 
-def found(one: Recorded, *things: Thing, near_mm: float = 1.0) -> AtFinger:
+def found(one: EpisodeLog, *things: Thing, near_mm: float = 1.0) -> AtFinger:
     bodies = {thing.body: (thing, intervals.body_of(thing)) for thing in things}
     return intervals.contacts(one, FINGER, bodies, scene_of_row.gel_of(row().sensor), near_mm)
 
