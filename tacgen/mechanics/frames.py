@@ -131,12 +131,8 @@ def _reach_pose(
     """From pose `last` to `pose`; once more with smaller tolerances where forces do not balance with the usual ones."""
     task = Task(problem, to_pose(problem, history, last, pose, turn, index, duration))
     yield task
-    failure = task.now.failure
-    if (
-        failure is None
-        or failure.failure is not Failure.unbalanced
-        or problem.options.step_tol < DEFAULT_OPTIONS.step_tol
-    ):
+    failed, finest = task.now.failure, problem.options.step_tol < DEFAULT_OPTIONS.step_tol
+    if finest or failed is None or failed.failure is not Failure.unbalanced:
         return task.now
     finer = replace(problem, options=tighter(problem.options))
     task = Task(finer, to_pose(finer, history, last, pose, turn, index, duration))
