@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.touch.episode import BodySurface, Recorded, Thing, Touch
+from tacgen.touch.episode import BodySurface, EpisodeLog, Thing, Touch
 
 ROWS, FPS, MARKERS = 20, 10.0, 4
 IMAGE = (24, 32, 3)  # of the tactile sensor
@@ -17,32 +17,32 @@ CUBE = {"shape": "box", "size_x_mm": 10.0, "size_y_mm": 8.0}
 
 
 @dataclass
-class Recorded:
+class EpisodeLog:
     """A source that holds its episodes."""
 
     path: Path
     kind: str = "lerobot"
     fps: float = FPS
     things: Mapping[str, Thing] = field(default_factory=dict)
-    held: tuple[Recorded, ...] = ()
+    held: tuple[EpisodeLog, ...] = ()
 
     def __len__(self) -> int:
         return len(self.held)
 
-    def episodes(self) -> Iterator[Recorded]:
+    def episodes(self) -> Iterator[EpisodeLog]:
         return iter(self.held)
 
 
-def recorded(path: Path, kind: str = "lerobot", name: str = "demo_{}") -> Recorded:
+def recorded(path: Path, kind: str = "lerobot", name: str = "demo_{}") -> EpisodeLog:
     """Two episodes of a cube that two bodies of a gripper come to."""
     held = []
     for index in range(2):
         poses = np.tile(np.eye(4), (ROWS, 1, 1))
         poses[:, 2, 3] = 100 + np.arange(ROWS)
         beside = {f"finger_{side}": poses + np.eye(4)[3] * 0 for side in ("left", "right")}
-        held.append(Recorded(index, name.format(index), np.arange(ROWS) / FPS, {"cube": poses, **beside}))
+        held.append(EpisodeLog(index, name.format(index), np.arange(ROWS) / FPS, {"cube": poses, **beside}))
     things = {"cube": Thing("cube", BodySurface(CUBE, np.eye(4)), 0.05)}
-    return Recorded(path, kind, FPS, things, tuple(held))
+    return EpisodeLog(path, kind, FPS, things, tuple(held))
 
 
 def felt(index: int, finger: str, rows: int = ROWS) -> Touch:
