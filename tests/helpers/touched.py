@@ -17,7 +17,7 @@ CUBE = {"shape": "box", "size_x_mm": 10.0, "size_y_mm": 8.0}
 
 
 @dataclass
-class EpisodeLog:
+class RecordedEpisodes:
     """A source that holds its episodes."""
 
     path: Path
@@ -33,7 +33,7 @@ class EpisodeLog:
         return iter(self.held)
 
 
-def recorded(path: Path, kind: str = "lerobot", name: str = "demo_{}") -> EpisodeLog:
+def recorded(path: Path, kind: str = "lerobot", name: str = "demo_{}") -> RecordedEpisodes:
     """Two episodes of a cube that two bodies of a gripper come to."""
     held = []
     for index in range(2):
@@ -42,7 +42,7 @@ def recorded(path: Path, kind: str = "lerobot", name: str = "demo_{}") -> Episod
         beside = {f"finger_{side}": poses + np.eye(4)[3] * 0 for side in ("left", "right")}
         held.append(EpisodeLog(index, name.format(index), np.arange(ROWS) / FPS, {"cube": poses, **beside}))
     things = {"cube": Thing("cube", BodySurface(CUBE, np.eye(4)), 0.05)}
-    return EpisodeLog(path, kind, FPS, things, tuple(held))
+    return RecordedEpisodes(path, kind, FPS, things, tuple(held))
 
 
 def felt(index: int, finger: str, rows: int = ROWS) -> Touch:
