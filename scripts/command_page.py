@@ -2,17 +2,18 @@
 
 import inspect
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import click
 import typer
 
+from tacgen.cli.common import AsJson, Overwrite, Sets, Workers
 from tacgen.cli.main import app
 
+COMMON = {"--set PATH=VALUE": Sets, "--workers N, -j N": Workers, "--overwrite": Overwrite, "--json": AsJson}
+SHARED = {usage: get_args(hint)[1].help for usage, hint in COMMON.items()}  # helps that are told once
 PLAIN = {"TEXT", "PATH"}  # metavars that say no more than the help
-COMMON = ("--set", "--workers", "--overwrite", "--json")  # options told once, where a command says no more of them
 HEAD = """# Commands
 
 Generated from the command line by `python scripts/command_page.py > docs/COMMANDS.md`; do not edit.
@@ -26,11 +27,6 @@ Results go to stdout, progress and errors to stderr. Every command takes `-h` an
 | 1 | `doctor`: something needed does not work |
 | 2 | an error in the recipe or in the arguments |
 | 130 | interrupted; finished scenes are kept, and the same command resumes |
-
-Options of many commands:
-
-| option | what |
-|---|---|
 """
 
 
@@ -40,7 +36,7 @@ def page() -> str:
     assert isinstance(group, click.Group)
     context = click.Context(group, info_name="tacgen")
     commands = dict(leaves(group, ""))
-    lines = [HEAD + "\n".join(common().values())]
+    lines = [HEAD, "Options of many commands:\n", *(f"- `{usage}`: {text}" for usage, text in SHARED.items())]
     for name, command in commands.items():
         lines += ["", f"## tacgen {name}", "", *section(command, click.Context(command, context, name))]
     return "\n".join(lines) + "\n"
@@ -60,27 +56,11 @@ def section(command: click.Command, context: click.Context) -> list[str]:
     """Usage, help and the table of one command's parameters."""
     lines = [" ".join((command.help or "").split())]
     texts = helps(command.callback)
-    rows, shared, told = [], list[str](), common()
-    for parameter in command.params:
-        name, text = parameter.opts[0], cell(texts[parameter.name])
-        if told.get(name, "").endswith(f"| {text} |"):
-            value = default(parameter, isinstance(parameter, click.Option) and parameter.is_flag)
-            shared.append(f"`{name}`" + (f" (default {value})" if value else ""))
-        else:
-            rows.append(row(parameter, context, text))
+    also = [one for one in command.params if texts[one.name] in SHARED.values()]
+    rows = [row(one, context, texts[one.name]) for one in command.params if one not in also]
     lines += ["", "| option | default | what |", "|---|---|---|", *rows] if rows else []
-    return [*lines, "", f"Also {', '.join(shared)}."] if shared else lines
-
-
-@cache
-def common() -> dict[str, str]:
-    """Lines on the COMMON options, as a command that has all of them tells them."""
-    group = typer.main.get_command(app)
-    assert isinstance(group, click.Group)
-    command = group.commands["touch"]
-    context, texts = click.Context(command, info_name="touch"), helps(command.callback)
-    found = {one.opts[0]: one for one in command.params if one.opts[0] in COMMON}
-    return {name: row(found[name], context, texts[found[name].name], brief=True) for name in COMMON}
+    named = [f"`{one.opts[0]}`{f' (default `{one.default}`)' if one.default in ('1', 'auto') else ''}" for one in also]
+    return [*lines, "", f"Also {', '.join(named)}."] if also else lines
 
 
 def helps(callback: Any) -> dict[str, str]:
@@ -89,17 +69,16 @@ def helps(callback: Any) -> dict[str, str]:
     return {name: next((str(note.help) for note in get_args(hint)[1:]), "") for name, hint in hints.items()}
 
 
-def row(parameter: click.Parameter, context: click.Context, text: str, *, brief: bool = False) -> str:
-    """A line of the table; a brief one has no default."""
+def row(parameter: click.Parameter, context: click.Context, text: str) -> str:
+    """A line of the table."""
     flag = isinstance(parameter, click.Option) and parameter.is_flag
     metavar = parameter.make_metavar(context)
     if isinstance(parameter, click.Argument):
         named = f"`{metavar}`"
     else:
-        named = ", ".join(f"`{name}`" for name in parameter.opts) + (
-            "" if flag or metavar in PLAIN else f" `{metavar}`"
-        )
-    return f"| {cell(named)} |{'' if brief else f' {default(parameter, flag)} |'} {cell(text)} |"
+        shown = "" if flag or metavar in PLAIN else f" `{metavar}`"
+        named = ", ".join(f"`{name}`" for name in parameter.opts) + shown
+    return f"| {cell(named)} | {default(parameter, flag)} | {cell(text)} |"
 
 
 def default(parameter: click.Parameter, flag: bool) -> str:
