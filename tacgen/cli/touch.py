@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.base.terminal import say
 from tacgen.cli.common import (
@@ -111,7 +112,7 @@ def touch(
         return
     copies.refuse(source, len(source) if only is None else len(only), out, overwrite=overwrite)
     folder = bundles or out.with_name(f"{out.name}-bundles")
-    with writing(folder):
+    with writing(folder), output_file.gone_if_refused(folder):
         probe(folder)
         prepared = scenes.prepare(source, fingers, asked, folder, only, overwrite=overwrite)
         warn([*prepared.plan.warnings, *prepared.notes])
@@ -178,6 +179,10 @@ def _fingers(sensors: list[str], mounts: list[str]) -> list[Any]:
             raise UserError(
                 f"--mount {text}: must be NAME=X,Y,Z or NAME=X,Y,Z,QW,QX,QY,QZ, of a finger: {names}"
             ) from None
+    places: dict[Any, str] = {}
+    for name, one in found.items():
+        if (other := places.setdefault((one.body, one.mount.model_dump_json()), name)) != name:
+            raise UserError(f"--sensor {name}: is where {other} is, on {one.body}: name another body, or give --mount")
     return list(found.values())
 
 
