@@ -15,6 +15,7 @@ from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.replay.contact_log import ContactLog
 from tacgen.replay.selection import MAX_FACE_POINT_DISTANCE_MM, RecordedBody
 from tacgen.touch.episode import EpisodeLog, Finger, Thing
+from tacgen.touch.label_columns import title
 
 Array = np.ndarray
 ROWS_BEFORE, ROWS_AFTER = 2, 1  # of an interval, in which nothing is near: from there the object comes and goes
@@ -105,7 +106,7 @@ def contacts(
     """
     if finger.body not in episode.bodies:
         known = ", ".join(sorted(episode.bodies)) or "none"
-        raise UserError(f"{episode.name}: has no body {finger.body} for --sensor {finger.name} (it has: {known})")
+        raise UserError(f"{title(episode)}: has no body {finger.body} for --sensor {finger.name} (it has: {known})")
     n, note = len(episode), [""] * len(episode)
     here = [pair for name, pair in things.items() if name != finger.body and recorded(episode, name)]
     logs = [log_of(episode, finger, thing) for thing, _ in here]

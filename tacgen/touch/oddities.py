@@ -86,7 +86,7 @@ def note(episode: EpisodeLog, width: Array | None, where: str) -> None:
     ]
     if not any(closes):
         warnings.warn(
-            f"{where}: its gripper never closes, and nothing presses on it: check grip and forces in --columns",
+            f"{where}: its gripper never closes, and no --object presses on it: check grip and forces in --columns",
             LeftOut,
             stacklevel=2,
         )

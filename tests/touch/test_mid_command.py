@@ -177,7 +177,7 @@ def test_what_is_odd_is_told_of_the_episodes_that_are_asked_for(tmp_path: Path, 
     done = CliRunner().invoke(app, ["touch", str(tmp_path / "logs"), "--object", BALL, *HERE, "-o", "x", "--plan"])
     assert done.exit_code == 0
     (line,) = [line for line in done.output.splitlines() if line.startswith("warning")]
-    assert "episode open: its gripper never closes, and nothing presses on it: check grip and forces" in line
+    assert "episode open: its gripper never closes, and no --object presses on it: check grip and forces" in line
 
 
 def test_a_package_that_lacks_is_told_before_anything_is_solved(
