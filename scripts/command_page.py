@@ -8,8 +8,11 @@ from typing import Any, get_args, get_type_hints
 import click
 import typer
 
+from tacgen.cli.common import AsJson, Overwrite, Sets, Workers
 from tacgen.cli.main import app
 
+COMMON = {"--set PATH=VALUE": Sets, "--workers N, -j N": Workers, "--overwrite": Overwrite, "--json": AsJson}
+SHARED = {usage: get_args(hint)[1].help for usage, hint in COMMON.items()}  # helps that are told once
 PLAIN = {"TEXT", "PATH"}  # metavars that say no more than the help
 HEAD = """# Commands
 
@@ -33,7 +36,7 @@ def page() -> str:
     assert isinstance(group, click.Group)
     context = click.Context(group, info_name="tacgen")
     commands = dict(leaves(group, ""))
-    lines = [HEAD, ", ".join(f"[`{name}`](#tacgen-{name.replace(' ', '-')})" for name in commands) + "."]
+    lines = [HEAD, "Options of many commands:\n", *(f"- `{usage}`: {text}" for usage, text in SHARED.items())]
     for name, command in commands.items():
         lines += ["", f"## tacgen {name}", "", *section(command, click.Context(command, context, name))]
     return "\n".join(lines) + "\n"
@@ -53,8 +56,11 @@ def section(command: click.Command, context: click.Context) -> list[str]:
     """Usage, help and the table of one command's parameters."""
     lines = [" ".join((command.help or "").split())]
     texts = helps(command.callback)
-    rows = [row(parameter, context, texts[parameter.name]) for parameter in command.params]
-    return [*lines, "", "| option | default | what |", "|---|---|---|", *rows] if rows else lines
+    also = [one for one in command.params if texts[one.name] in SHARED.values()]
+    rows = [row(one, context, texts[one.name]) for one in command.params if one not in also]
+    lines += ["", "| option | default | what |", "|---|---|---|", *rows] if rows else []
+    named = [f"`{one.opts[0]}`{f' (default `{one.default}`)' if one.default in ('1', 'auto') else ''}" for one in also]
+    return [*lines, "", f"Also {', '.join(named)}."] if also else lines
 
 
 def helps(callback: Any) -> dict[str, str]:
@@ -70,9 +76,8 @@ def row(parameter: click.Parameter, context: click.Context, text: str) -> str:
     if isinstance(parameter, click.Argument):
         named = f"`{metavar}`"
     else:
-        named = ", ".join(f"`{name}`" for name in parameter.opts) + (
-            "" if flag or metavar in PLAIN else f" `{metavar}`"
-        )
+        shown = "" if flag or metavar in PLAIN else f" `{metavar}`"
+        named = ", ".join(f"`{name}`" for name in parameter.opts) + shown
     return f"| {cell(named)} | {default(parameter, flag)} | {cell(text)} |"
 
 

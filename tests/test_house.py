@@ -81,7 +81,7 @@ HOMES = {
 # Who writes, replaces or deletes files, by what; all others go through `output_file`, `whole_folder` or `atomic_file`.
 WRITERS = {
     "base.atomic_file": {"os.open", "os.replace", "os.unlink"},
-    "base.output_file": {"open", "os.replace", "unlink"},
+    "base.output_file": {"open", "os.replace", "rmdir", "unlink"},
     "bundle.whole_folder": {"rename", "rmtree"},
     "bundle.hdf5_file": {"h5py.File"},  # through a sink of atomic_file
     # beside bundles, after `journal.claimed` has refused what no run wrote

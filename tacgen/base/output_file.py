@@ -159,3 +159,16 @@ def is_unchanged_page(path: Path) -> bool:
         return False
     match = PAGE_SIGNATURE.search(content)
     return match is not None and hashlib.sha256(content[: match.start()]).hexdigest().encode() == match[1]
+
+
+@contextmanager
+def gone_if_refused(folder: Path) -> Iterator[None]:
+    """Folders that are made here go again where an error comes before anything is in them."""
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        yield
+    except UserError:
+        with suppress(OSError):  # something is in it
+            for each in made:
+                each.rmdir()
+        raise

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.base.terminal import say
 from tacgen.cli.common import (
@@ -39,35 +40,31 @@ def touch(
         typer.Option(
             "--out",
             "-o",
-            help="The copy of the episodes, with touch; or a film (.webp, .gif), or Rerun's .rrd, of one.",
+            help="The copy, with touch; or of one episode a film (.webp, .gif) or Rerun's .rrd.",
         ),
     ],
     objects: Annotated[
         list[str] | None, typer.Option("--object", help="What fingers may touch; can be given many times.")
     ] = None,
-    model: Annotated[
-        Path | None, typer.Option(help="MJCF or URDF that gives poses and shapes, where episodes hold joints.")
-    ] = None,
+    model: Annotated[Path | None, typer.Option(help="MJCF or URDF, where episodes hold joints.")] = None,
     columns: Annotated[
-        Path | None, typer.Option(help="YAML that says which columns are joints, poses and forces, and in what units.")
+        Path | None, typer.Option(help="YAML: which columns are joints, poses and forces, and units.")
     ] = None,
     mounts: Annotated[
         list[str] | None,
         typer.Option(
             "--mount",
             metavar="NAME=X,Y,Z[,QW,QX,QY,QZ]",
-            help="Pose of a finger's sensor frame in its body: the face's middle [mm], z out of the gel.",
+            help="Pose of a sensor in its body: the face's middle [mm], z out of the gel.",
         ),
     ] = None,
     match: Annotated[
         str,
-        typer.Option(
-            help="What of the log is kept: pose; force, by a depth that the gel needs for it; or grip of both fingers."
-        ),
+        typer.Option(help="What of the log is kept: pose, force, or grip of both fingers, which costs most."),
     ] = "pose",
     near_mm: Annotated[float, typer.Option(help="Rows are solved that bring an object so near to a gel.")] = 1.0,
     rate: Annotated[
-        float | None, typer.Option(min=1e-3, help="Frames of the solve in a second; default: those of the episodes.")
+        float | None, typer.Option(min=1e-3, help="Frames of the solve in a second; default: the episodes'.")
     ] = None,
     windows: Annotated[
         list[str] | None,
@@ -79,7 +76,7 @@ def touch(
     chosen: Annotated[str, typer.Option("--episodes", metavar="FIRST:LAST", help="Only these, from 0.")] = "",
     bundles: Annotated[
         Path | None,
-        typer.Option(help="Folder for recipes and bundles, where a run resumes; default: OUT-bundles."),
+        typer.Option(help="Folder for recipes and bundles; default: OUT-bundles."),
     ] = None,
     workers: Workers = "1",
     engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster; cuda: a GPU.")] = "local",
@@ -93,7 +90,7 @@ def touch(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Add what robots' fingers feel to recorded episodes: contacts are found, solved, and written into a copy."""
+    """Add what robots' fingers feel to recorded episodes, in a copy of them."""
     from tempfile import TemporaryDirectory
 
     from tacgen.touch import copies, labels, plan_text, scenes, sources
@@ -115,7 +112,7 @@ def touch(
         return
     copies.refuse(source, len(source) if only is None else len(only), out, overwrite=overwrite)
     folder = bundles or out.with_name(f"{out.name}-bundles")
-    with writing(folder):
+    with writing(folder), output_file.gone_if_refused(folder):
         probe(folder)
         prepared = scenes.prepare(source, fingers, asked, folder, only, overwrite=overwrite)
         warn([*prepared.plan.warnings, *prepared.notes])
@@ -182,6 +179,10 @@ def _fingers(sensors: list[str], mounts: list[str]) -> list[Any]:
             raise UserError(
                 f"--mount {text}: must be NAME=X,Y,Z or NAME=X,Y,Z,QW,QX,QY,QZ, of a finger: {names}"
             ) from None
+    places: dict[Any, str] = {}
+    for name, one in found.items():
+        if (other := places.setdefault((one.body, one.mount.model_dump_json()), name)) != name:
+            raise UserError(f"--sensor {name}: is where {other} is, on {one.body}: name another body, or give --mount")
     return list(found.values())
 
 

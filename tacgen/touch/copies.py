@@ -7,7 +7,7 @@ from pathlib import Path
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.report import animation
-from tacgen.touch import into_lerobot
+from tacgen.touch import into_lerobot, into_rerun
 from tacgen.touch.episode import EpisodeLog, Episodes, Touch
 
 WRITER_OF_SUFFIX = {".rrd": "into_rerun", **dict.fromkeys(animation.ANIMATION_WRITERS, "film")}
@@ -21,6 +21,8 @@ def refuse(source: Episodes, episodes: int, out: Path, *, overwrite: bool) -> No
         raise UserError(f"{out}: holds one episode, these are {episodes}: choose one by --episodes, or name a folder")
     if name == "film":
         animation.writer_for(out, 1)
+    elif name == "into_rerun":
+        into_rerun.refuse()
     if name == "into_lerobot":
         into_lerobot.refuse(source, out, overwrite=overwrite)
     elif name == "into_robomimic" or out.suffix.lower() in WRITER_OF_SUFFIX:

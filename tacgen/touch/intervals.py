@@ -8,17 +8,20 @@ from pydantic import TypeAdapter, ValidationError
 
 from tacgen.base.errors import UserError
 from tacgen.geometry.gel import GelBody
+from tacgen.geometry.pose import Pose
 from tacgen.recipe.indenters import Indenter
 from tacgen.replay import selection
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.replay.contact_log import ContactLog
 from tacgen.replay.selection import MAX_FACE_POINT_DISTANCE_MM, RecordedBody
 from tacgen.touch.episode import EpisodeLog, Finger, Thing
+from tacgen.touch.label_columns import title
 
 Array = np.ndarray
 ROWS_BEFORE, ROWS_AFTER = 2, 1  # of an interval, in which nothing is near: from there the object comes and goes
 NOBODY, SEVERAL = -1, -2  # in the place of the number of the object that is near
 BETWEEN_ROWS = -1  # number of a frame that is no row of the episode
+FEW_FACE_POINTS = 16  # of a face, from which an object's distance is told that comes near nowhere
 INTERVAL_ROUNDING = 1e-6  # of a number of time steps between two rows [-]
 
 
@@ -103,7 +106,7 @@ def contacts(
     """
     if finger.body not in episode.bodies:
         known = ", ".join(sorted(episode.bodies)) or "none"
-        raise UserError(f"{episode.name}: has no body {finger.body} for --sensor {finger.name} (it has: {known})")
+        raise UserError(f"{title(episode)}: has no body {finger.body} for --sensor {finger.name} (it has: {known})")
     n, note = len(episode), [""] * len(episode)
     here = [pair for name, pair in things.items() if name != finger.body and recorded(episode, name)]
     logs = [log_of(episode, finger, thing) for thing, _ in here]
@@ -137,6 +140,20 @@ def contacts(
     for force in pressed:
         engine = np.where(np.isnan(force), engine, np.nan_to_num(engine) + force)
     return AtFinger(finger, tuple(found), held, engine, note)
+
+
+def approach(
+    episode: EpisodeLog, finger: Finger, things: Mapping[str, tuple[Thing, RecordedBody]], gel: GelBody
+) -> tuple[float, int, str] | None:
+    """About how close an object comes to a finger [mm], the row and the object; None where there is no object."""
+    face, found = selection.face_points(gel), list[tuple[float, int, str]]()
+    face = face[:: -(-len(face) // FEW_FACE_POINTS)]
+    for thing, body in (pair for name, pair in things.items() if name != finger.body and recorded(episode, name)):
+        log = log_of(episode, finger, thing)
+        rows = np.flatnonzero(_known(log))
+        for row, pose in zip(rows.tolist(), _relative(log.some(rows), finger, body), strict=True):
+            found.append((float(body.distance(Pose.of(pose).local(face)).min()), row, thing.body))
+    return min(found, default=None)
 
 
 def recorded(episode: EpisodeLog, body: str) -> bool:

@@ -17,13 +17,15 @@ normalise what has statistics, and cannot do it with booleans. All other columns
 splits and files are as they were: videos are hard links where the file system has them, other files copies.
 """
 
+import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -43,7 +45,11 @@ BATCH_ROWS = 256  # rows that are read at once: pictures of a whole file do not 
 # from which pictures are thinned out, to about which size [px]
 MIN_SAMPLES, MAX_SAMPLES, SAMPLES_POWER = 100, 10_000, 0.75
 LARGE_IMAGE_PX, THINNED_IMAGE_PX = 300, 150
+PNG_LEVEL = 4  # of compression: files of noisy pictures are as small as by 6, Pillow's own, in half the time
+MAX_KEPT_PICTURES = 64  # files, and statistics of as many sets of pictures, that may be needed again
 Statistics = dict[str, dict[str, list]]
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 
 def write(
@@ -168,7 +174,7 @@ def _data(
 
     rows: dict[int, dict[str, Any]] = {}
     stats: dict[int, Statistics] = {}
-    writer, path, number = None, folder, -1
+    writer, path, number, pictures = None, folder, -1, _Pictures()
     try:
         for begins, index, table in _tables(given):
             n = table.num_rows
@@ -179,7 +185,7 @@ def _data(
                 )
             stats[index] = {}
             for touch in fingers:
-                arrays, own = _columns(touch, texts)
+                arrays, own = _columns(touch, texts, pictures)
                 stats[index] |= own
                 for name, array in arrays.items():
                     table = table.append_column(name, array)
@@ -226,15 +232,15 @@ def _tables(given: Path) -> Iterator[tuple[bool, int, Any]]:
                 yield begins, before, pa.Table.from_batches(held)
 
 
-def _columns(touch: Touch, texts: dict[str, list[str]]) -> tuple[dict[str, Any], Statistics]:
+def _columns(touch: Touch, texts: dict[str, list[str]], pictures: "_Pictures") -> tuple[dict[str, Any], Statistics]:
     """Arrow arrays of a finger's columns, and the statistics of those that have them."""
     import pyarrow as pa
 
     prefix, count = f"{TACTILE_PREFIX}{touch.finger}.", len(touch.touched)
-    files, samples = _pictures(touch)
+    files, statistics_of_image = pictures.of(touch)
     picture = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     arrays: dict[str, Any] = {"image": pa.array([{"bytes": file, "path": None} for file in files], picture)}
-    stats = {"image": _image_statistics(samples)}
+    stats = {"image": statistics_of_image}
     for name, values in columns(touch).items():
         flat = pa.array(values.ravel())
         arrays[name] = flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
@@ -246,21 +252,47 @@ def _columns(touch: Touch, texts: dict[str, list[str]]) -> tuple[dict[str, Any],
     return {prefix + name: array for name, array in arrays.items()}, {prefix + k: v for k, v in stats.items()}
 
 
-def _pictures(touch: Touch) -> tuple[list[bytes], Array]:
-    """PNG files of all rows, and the pixels (s, h, w, 3) of those that LeRobot's statistics sample."""
-    n = len(touch.touched)
-    sampled = np.linspace(0, n - 1, max(min(MIN_SAMPLES, n), min(int(n**SAMPLES_POWER), MAX_SAMPLES)))
-    wanted, files, samples, last = set(np.round(sampled).astype(int).tolist()), list[bytes](), [], None
-    for k in range(n):
-        image = touch.image(k)
-        if last is None or not np.array_equal(image, last):  # the untouched sensor looks the same for many rows
-            last, file = image, encoded(image, "PNG")
-        files.append(file)
-        if k in wanted:
-            high, wide = image.shape[:2]
-            step = max(high, wide) // THINNED_IMAGE_PX if max(high, wide) >= LARGE_IMAGE_PX else 1
-            samples.append(image[::step, ::step])
-    return files, np.array(samples)
+class _Pictures:
+    """Files and statistics of pictures. Most rows show the untouched sensor, or black: each distinct picture is encoded
+    once, and the same pictures have their statistics computed once, as far as they are still kept."""
+
+    def __init__(self) -> None:
+        self.files: dict[bytes, bytes] = {}  # by the digest of the pixels
+        self.statistics: dict[tuple[bytes, ...], dict[str, list]] = {}
+
+    def of(self, touch: Touch) -> tuple[list[bytes], dict[str, list]]:
+        """PNG files of all rows, and the statistics of those that LeRobot samples."""
+        n = len(touch.touched)
+        sampled = np.linspace(0, n - 1, max(min(MIN_SAMPLES, n), min(int(n**SAMPLES_POWER), MAX_SAMPLES)))
+        wanted, files, samples = set(np.round(sampled).astype(int).tolist()), list[bytes](), dict[bytes, Array]()
+        last, digest, order = None, b"", list[bytes]()
+        for k in range(n):
+            image = touch.image(k)
+            if image is not last:
+                last = image
+                digest = hashlib.sha256(repr(image.shape).encode() + np.ascontiguousarray(image).data).digest()
+            files.append(_kept(self.files, digest, partial(encoded, image, "PNG", compress_level=PNG_LEVEL)))
+            if k in wanted:
+                order.append(digest)
+                samples.setdefault(digest, _thinned(image))
+        return files, _kept(
+            self.statistics, tuple(order), lambda: _image_statistics(np.array([samples[each] for each in order]))
+        )
+
+
+def _kept(known: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:
+    """The value of a key, made where it is not among those that were asked for last."""
+    known[key] = value = known.pop(key) if key in known else make()
+    if len(known) > MAX_KEPT_PICTURES:
+        del known[next(iter(known))]
+    return value
+
+
+def _thinned(image: Array) -> Array:
+    """A picture (h, w, 3) as LeRobot samples it."""
+    high, wide = image.shape[:2]
+    step = max(high, wide) // THINNED_IMAGE_PX if max(high, wide) >= LARGE_IMAGE_PX else 1
+    return image[::step, ::step].copy()
 
 
 def _image_statistics(samples: Array) -> dict[str, list]:

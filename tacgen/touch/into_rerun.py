@@ -41,10 +41,7 @@ def write(
     Raises:
         UserError: no Rerun, several episodes and one file, or a file is there already.
     """
-    try:
-        import rerun  # noqa: F401
-    except ImportError:
-        raise UserError("touch into Rerun needs Rerun: pip install 'tacgen[rerun]'") from None
+    refuse()
     pairs = [*by_episode(episodes, touches).values()]
     if out.suffix == SUFFIX and len(pairs) > 1:
         raise UserError(f"{out}: holds one episode, these are {len(pairs)}: choose one, or name a folder")
@@ -56,6 +53,14 @@ def write(
             made[-1], recording(source, episode, fingers), [source.path], overwrite=overwrite
         )  # Rerun's own files say nothing when the disk is full
     return made
+
+
+def refuse() -> None:
+    """UserError if Rerun is not installed; to be called before long work, too."""
+    try:
+        import rerun  # noqa: F401
+    except ImportError:
+        raise UserError("touch into Rerun needs Rerun: pip install 'tacgen[rerun]'") from None
 
 
 def recording(source: Episodes, episode: EpisodeLog, fingers: Sequence[Touch]) -> bytes:

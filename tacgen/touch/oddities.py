@@ -33,7 +33,11 @@ def refuse(episode: EpisodeLog, fps: float, where: str) -> None:
     if (wrong := step * fps > MAX_STEP_RATIO).any():
         row = int(wrong.argmax()) + 1
         missing = round(step[row - 1] * fps) - 1
-        raise UserError(f"{where}: row {row}: {missing} rows before it are missing, at {fps:g} rows a second")
+        told = "1 row before it is" if missing == 1 else f"{missing} rows before it are"
+        raise UserError(
+            f"{where}: row {row}: {told} missing, at {fps:g} rows a second: record them"
+            " anew, or leave the episode out by --episodes"
+        )
     for name, poses in episode.bodies.items():
         if (lost := ~np.isfinite(poses).all((1, 2))).any():
             raise UserError(f"{where}: row {lost.argmax()}: the pose of {name} is missing or no number")
@@ -81,4 +85,8 @@ def note(episode: EpisodeLog, width: Array | None, where: str) -> None:
         any(bool(force.any()) for force in episode.forces.values()),
     ]
     if not any(closes):
-        warnings.warn(f"{where}: its gripper never closes", LeftOut, stacklevel=2)
+        warnings.warn(
+            f"{where}: its gripper never closes, and no --object presses on it: check grip and forces in --columns",
+            LeftOut,
+            stacklevel=2,
+        )

@@ -104,7 +104,7 @@ class Recording:
         found = {}
         for name, text in asked.items():
             surface = surfaces.of_text(name, text) if text else None
-            if model is not None and name in model.bodies:
+            if model is not None and (name in model.bodies or surface is None):
                 found[name] = model.thing(name, surface)
             elif surface is None:
                 raise UserError(f"object {name}: without a model it needs a surface: --object {name}=MESH, or --model")

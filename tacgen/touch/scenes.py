@@ -13,6 +13,7 @@ import numpy as np
 
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
+from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
 from tacgen.recipe import assets, checks, plan, scene_of_row
 from tacgen.recipe.checks import MAX_EDGE_PER_THICKNESS
@@ -26,7 +27,7 @@ from tacgen.replay.preparation import WRITTEN_KEYS
 from tacgen.replay.selection import FACE_SPACING_MM, RecordedBody
 from tacgen.sensor.yaml_source import Tree
 from tacgen.touch import grasps, intervals
-from tacgen.touch.episode import EpisodeLog, Episodes, Finger
+from tacgen.touch.episode import EpisodeLog, Episodes, Finger, Thing
 from tacgen.touch.intervals import AtFinger, Interval, Rate
 
 TABLE_KEY = "trajectory[0].replay.file"
@@ -86,7 +87,8 @@ def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, fol
     An episode that cannot be read is left out, with a note.
 
     Raises:
-        UserError: no episode can be read, a sensor or an object is not valid, or a file in `folder` is in the way.
+        UserError: no episode can be read, nothing comes near a gel, a sensor or an object is not valid, or a file in
+            `folder` is in the way.
     """
     bases = {finger.name: _base(finger, asked) for finger in fingers}
     gels = {name: scene_of_row.gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
@@ -102,6 +104,8 @@ def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, fol
                               for finger in fingers))  # fmt: skip
     if not episodes:
         raise UserError(notes or [f"{source.path}: holds no episode of those that are asked for"])
+    if not any(at.intervals or any(at.note) for each in contacts for at in each):
+        raise UserError([*notes, _nowhere(source, episodes, fingers, things, gels)])
     found, refused = [one for each in contacts for at in each for one in at.intervals], list[tuple[Interval, str]]()
     known = {episode.index: (episode, each) for episode, each in zip(episodes, contacts, strict=True)}
     if asked.match == "grip":
@@ -146,6 +150,23 @@ def _readable(source: Episodes, chosen: range | None, notes: list[str]) -> Itera
                 yield source.episode(number)
             except UserError as error:
                 notes.append("; ".join(error.lines))
+
+
+def _nowhere(
+    source: Episodes, episodes: Sequence[EpisodeLog], fingers: Sequence[Finger],
+    things: Mapping[str, tuple[Thing, RecordedBody]], gels: Mapping[str, GelBody],
+) -> str:  # fmt: skip
+    """The error where no object comes near a gel: the closest approach, and where to look."""
+    each = [(intervals.approach(episode, finger, things, gels[finger.name]), finger, episode)
+            for episode in episodes for finger in fingers]  # fmt: skip
+    known = [(told, finger, episode) for told, finger, episode in each if told is not None]
+    if not known:
+        return f"{source.path}: there is no object but the bodies of the sensors: name one by --object"
+    (gap, row, name), finger, episode = min(known, key=lambda one: one[0])
+    return (
+        f"{source.path}: nothing comes near a gel: closest is {name}, about {gap:.3g} mm from {finger.name} in row"
+        f" {row} of episode {episode.name}: check --object, the body in --sensor, --mount and units"
+    )
 
 
 def _recipe(finger: Finger, name: str, asked: TouchChoice, outputs: Sequence[str]) -> dict[str, Any]:

@@ -6,8 +6,10 @@ import h5py
 import numpy as np
 import pytest
 from helpers.needs import needs
+from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
+from tacgen.cli.main import app
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import indenters
 from tacgen.touch import kinematics, surfaces
@@ -238,6 +240,23 @@ def test_episodes_whose_models_differ_in_what_is_touched_are_refused(tmp_path: P
         file["data/demo_1"].attrs["model_file"] = PRESS.replace('size="0.01 0.01 0.01"', 'size="0.01 0.01 0.011"')
     with pytest.raises(UserError, match=r"demo_1: its block is of another size or shape than in the first episode"):
         open_source(path).episode(1)
+
+
+@pytest.mark.parametrize(
+    ("thing", "body", "said"),
+    [
+        ("spoon", "plate", "has no such body; there are: block, arm, plate, mark"),
+        ("mark", "plate", "object mark: has no geometry: give --object mark=MESH"),
+        ("block", "finger", "demo_0: has no body finger for --sensor left (it has: arm, block, mark, plate)"),
+    ],
+)
+def test_what_a_model_lacks_is_told_in_one_line(thing: str, body: str, said: str, tmp_path: Path) -> None:
+    path = recorded(tmp_path, ("demo_0",), PRESS.replace("</worldbody>", '<body name="mark"/></worldbody>'))
+    sensor, out = f"left=gelsight_mini@{body}", str(tmp_path / "out/felt.hdf5")
+    done = CliRunner().invoke(app, ["touch", str(path), "--object", thing, "--sensor", sensor, "-o", out])
+    assert (done.exit_code, len(done.output.splitlines())) == (2, 1), done.output
+    assert said in done.output
+    assert [each.name for each in tmp_path.iterdir()] == ["demo.hdf5"]
 
 
 def test_a_part_of_mujoco_that_no_recipe_has_is_a_closed_mesh() -> None:

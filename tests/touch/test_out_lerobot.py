@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.needs import needs
-from helpers.touched import IMAGE, MARKERS, ROWS, EpisodeLog, both, digests, felt, lerobot_folder, recorded
+from helpers.touched import IMAGE, MARKERS, ROWS, RecordedEpisodes, both, digests, felt, lerobot_folder, recorded
 from PIL import Image
 
 from tacgen.base.errors import UserError
@@ -27,12 +27,12 @@ PREFIX = "observation.tactile.left."
 
 
 @pytest.fixture(params=[True, False], ids=["one file", "two files"])
-def source(tmp_path: Path, request: pytest.FixtureRequest) -> EpisodeLog:
+def source(tmp_path: Path, request: pytest.FixtureRequest) -> RecordedEpisodes:
     return recorded(lerobot_folder(tmp_path / "given", request.param))
 
 
 def written(
-    source: EpisodeLog, out: Path, touches: Any = None, **how: Any
+    source: RecordedEpisodes, out: Path, touches: Any = None, **how: Any
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """meta/info.json and all rows of the copy."""
     touches = touches or both()
@@ -43,7 +43,7 @@ def written(
     ]
 
 
-def test_every_row_has_the_values_of_both_fingers(source: EpisodeLog, tmp_path: Path) -> None:
+def test_every_row_has_the_values_of_both_fingers(source: RecordedEpisodes, tmp_path: Path) -> None:
     info, rows = written(source, tmp_path / "out")
     assert len(rows) == 2 * ROWS
     assert info["features"][f"{PREFIX}image"]["shape"] == list(IMAGE)
@@ -74,7 +74,7 @@ def test_every_row_has_the_values_of_both_fingers(source: EpisodeLog, tmp_path: 
             assert len(rows[0][name]) == feature["shape"][0]
 
 
-def test_the_original_is_unchanged_and_all_of_it_is_in_the_copy(source: EpisodeLog, tmp_path: Path) -> None:
+def test_the_original_is_unchanged_and_all_of_it_is_in_the_copy(source: RecordedEpisodes, tmp_path: Path) -> None:
     before, given = digests(source.path), source.path
     info, rows = written(source, tmp_path / "out")
     assert digests(given) == before
@@ -100,7 +100,7 @@ def test_the_original_is_unchanged_and_all_of_it_is_in_the_copy(source: EpisodeL
     assert json.loads((tmp_path / "out/meta/stats.json").read_text())["action"]["std"] == [1.0] * 3
 
 
-def test_statistics_are_those_of_the_rows_and_colours(source: EpisodeLog, tmp_path: Path) -> None:
+def test_statistics_are_those_of_the_rows_and_colours(source: RecordedEpisodes, tmp_path: Path) -> None:
     written(source, tmp_path / "out")
     stats = json.loads((tmp_path / "out/meta/stats.json").read_text())
     episodes = parquet.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet").to_pylist()
@@ -124,7 +124,7 @@ def test_statistics_are_those_of_the_rows_and_colours(source: EpisodeLog, tmp_pa
         assert np.shape(row[f"stats/{PREFIX}image/q99"]) == (3, 1, 1)
 
 
-def test_an_episode_without_touch_has_nan_and_says_so(source: EpisodeLog, tmp_path: Path) -> None:
+def test_an_episode_without_touch_has_nan_and_says_so(source: RecordedEpisodes, tmp_path: Path) -> None:
     info, rows = written(source, tmp_path / "out", both(1))
     texts = info["features"][f"{PREFIX}note"]["info"]["texts"]
     assert {texts[row[f"{PREFIX}note"]] for row in rows[ROWS:]} == {LEFT_OUT_NOTE}
@@ -133,8 +133,25 @@ def test_an_episode_without_touch_has_nan_and_says_so(source: EpisodeLog, tmp_pa
     assert stats[f"{PREFIX}force"]["mean"] == pytest.approx(felt(0, "left").force.mean(0), rel=1e-6)
 
 
+def test_a_picture_is_encoded_and_summed_up_once(
+    source: RecordedEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, counted = list[bytes](), list[int]()
+    png, sums = into_lerobot.encoded, into_lerobot._image_statistics
+    monkeypatch.setattr(
+        into_lerobot, "encoded", lambda image, *a, **k: made.append(image.tobytes()) or png(image, *a, **k)
+    )
+    monkeypatch.setattr(into_lerobot, "_image_statistics", lambda them: counted.append(len(them)) or sums(them))
+    (touches,) = both(1)
+    written(
+        source, tmp_path / "out", [[replace(touch, image=lambda k: touches[0].image(k).copy()) for touch in touches]]
+    )
+    assert len(made) == len(set(made)) == 12  # ten with contact, the untouched sensor, and black for the other episode
+    assert len(counted) == 2
+
+
 def test_files_are_begun_anew_when_one_is_full(
-    source: EpisodeLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: RecordedEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(into_lerobot, "PARQUET_FILE_BYTES", 1000)
     written(source, tmp_path / "out")
@@ -145,7 +162,9 @@ def test_files_are_begun_anew_when_one_is_full(
         assert set(parquet.read_table(path)["episode_index"].to_pylist()) == {row["episode_index"]}
 
 
-def test_the_same_input_gives_the_same_bytes_and_only_its_like_is_replaced(source: EpisodeLog, tmp_path: Path) -> None:
+def test_the_same_input_gives_the_same_bytes_and_only_its_like_is_replaced(
+    source: RecordedEpisodes, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     written(source, out)
     first = digests(out)
@@ -164,7 +183,7 @@ def test_the_same_input_gives_the_same_bytes_and_only_its_like_is_replaced(sourc
         written(again, tmp_path / "twice")
 
 
-def test_what_does_not_fit_is_one_line_and_leaves_nothing(source: EpisodeLog, tmp_path: Path) -> None:
+def test_what_does_not_fit_is_one_line_and_leaves_nothing(source: RecordedEpisodes, tmp_path: Path) -> None:
     short = [[felt(0, "left", 19)], [felt(1, "left", 19)]]
     with pytest.raises(UserError, match="demo_0: has 20 rows, the touch of left has another number"):
         written(source, tmp_path / "out", short)
