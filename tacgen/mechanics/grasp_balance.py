@@ -337,7 +337,9 @@ class Frame:
 
 def presolved(grasp: GraspScene) -> GraspScene:
     """The grasp with meshes that are fine where a solve on coarse ones has the object (see presolve); if that fails, at
-    the poses found so far and at those of the recipe's movements."""
+    the poses found so far and at those of the recipe's movements. Where the final edges are as long, only at these."""
+    if all(scene.edge >= scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS for scene in grasp.fingers):
+        return grasp
     rough = tuple(
         replace(
             scene, edge=max(scene.edge, scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS), dhat=max(scene.dhat, 0.05)
