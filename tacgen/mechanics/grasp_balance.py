@@ -50,6 +50,7 @@ MIN_GRASP_STEP = 1 / 4  # smallest fraction of a Newton step in the line search 
 FIRST_GRIP_SHARE = 0.03  # of the force of a frame, with which fingers first touch on the way to it [-]
 FIRST_GRIP_TOL = 0.9  # of that force, and MAX_FIRST_IMBALANCE over it: of no weight beside the frame's own [-]
 MAX_FIRST_IMBALANCE = 0.1
+LIGHTER_GRIP_RATIO = 1 / 3  # of grips one after the other, below which a grip between them is found first [-]
 FIRST_DEPTH_RATIO = 0.005  # first guess of the depth there, over the gel's thickness [-]
 
 
@@ -104,8 +105,7 @@ def held(grasp: GraspScene, problems: tuple[Problem, Problem], *, tol: float | N
         note = wanted.note if wanted else ""
         frame = Frame(grasp, problems, last, index, begun, problems[0].options.force_tol if tol is None else tol)
         try:
-            if last.grip == 0 and frame.force > 0:
-                frame = frame.touching(mode)
+            frame, mode = frame.begun(mode)
             found = frame.find(mode)
         except NotConverged as error:
             if wanted is None or index == 0:
@@ -146,17 +146,23 @@ class Frame:
         self.scale = np.array([1.0, 1, 1, self.arm, self.arm, self.arm])
         self.before = grasp.gripper[index - 1] if index else grasp.begin
 
-    def touching(self, mode: Mode) -> "Frame":
-        """The same frame, begun where both fingers just touch the object. Raises NotConverged.
+    def begun(self, mode: Mode) -> tuple["Frame", Mode]:
+        """The same frame, begun where both fingers just touch the object, if they did not, or on the way to a much
+        lighter grip; and the mode there. Raises NotConverged.
 
         Points that touch anew stick where they first touch. From afar, in one step to the whole force, all of them do,
         wherever the object is: friction then tells nothing of how it moves, and Newton's method finds no balance.
         """
-        first, then = copy(self), copy(self)
-        first.force, first.tol, first.balanced = FIRST_GRIP_SHARE * self.force, FIRST_GRIP_TOL, MAX_FIRST_IMBALANCE
-        then.last, _ = first.find(mode)
+        way, then = copy(self), copy(self)
+        if self.last.grip == 0 and self.force > 0:
+            way.force, way.tol, way.balanced = FIRST_GRIP_SHARE * self.force, FIRST_GRIP_TOL, MAX_FIRST_IMBALANCE
+        elif 0 < self.force < LIGHTER_GRIP_RATIO * self.last.grip:
+            way.force = math.sqrt(self.force * self.last.grip)
+        else:
+            return self, mode
+        then.last, mode = way.find(mode)
         then.before = self.gripper
-        return then
+        return then, mode
 
     def find(self, mode: Mode) -> tuple[Trial, Mode]:
         """The frame's equilibrium, and what the object does in it. Raises NotConverged.

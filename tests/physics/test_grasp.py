@@ -220,7 +220,7 @@ def test_a_force_is_looked_for_where_the_object_is() -> None:
     frame.problems, frame.force, frame.width = (SimpleNamespace(thickness=4.0),) * 2, 1.0, np.nan
     frame.grasp = SimpleNamespace(opening=21.5)
     frame.last = Trial(np.eye(4), 40.0, (), np.zeros(6), 0.0)
-    assert frame._first_width() == pytest.approx(21.5 - 0.8)
+    assert frame._first_width() == pytest.approx(21.5 - 0.04)
 
 
 def test_an_object_is_held_where_it_is_between_the_pads(tmp_path: Path) -> None:
