@@ -24,7 +24,7 @@ from tacgen import batch
 from tacgen.base.errors import UserError
 from tacgen.base.terminal import say
 from tacgen.touch import intervals, labels, scenes, sources
-from tacgen.touch.episode import Finger, EpisodeLog, Thing, Touch
+from tacgen.touch.episode import EpisodeLog, Finger, Thing, Touch
 from tacgen.touch.recording import Recording
 
 Array = np.ndarray
@@ -77,7 +77,9 @@ def checked(recorded: Path, number: int, match: str, folder: Path, workers: int)
     return [str(number), kind, match, *numbers, str(len(notes)), cost], notes
 
 
-def compared(episode: EpisodeLog, thing: Thing, touches: Sequence[Touch], at: Sequence[intervals.AtFinger]) -> list[str]:
+def compared(
+    episode: EpisodeLog, thing: Thing, touches: Sequence[Touch], at: Sequence[intervals.AtFinger]
+) -> list[str]:
     """Cells of the table, from `held` to the engine's forces."""
     down = np.array(episode.gravity)
     heights = -(episode.bodies[thing.body][:, :3, 3] @ down) / np.linalg.norm(down)
