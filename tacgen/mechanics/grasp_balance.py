@@ -147,8 +147,8 @@ class Frame:
         self.before = grasp.gripper[index - 1] if index else grasp.begin
 
     def begun(self, mode: Mode) -> tuple["Frame", Mode]:
-        """The same frame, begun where both fingers just touch the object, if they did not, or on the way to a much
-        lighter grip; and the mode there. Raises NotConverged.
+        """The frame, begun where both fingers just touch the object, if they did not, or on the way to a much lighter
+        grip; and the mode there. Raises NotConverged.
 
         Points that touch anew stick where they first touch. From afar, in one step to the whole force, all of them do,
         wherever the object is: friction then tells nothing of how it moves, and Newton's method finds no balance.
