@@ -139,7 +139,7 @@ READERS = {
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EXTENDING.md says
-LINES_BESIDE = 5710  # of benchmarks/ and scripts/ together
+LINES_BESIDE = 5830  # of benchmarks/ and scripts/ together
 NOT_NUMPY = {
     *(
         "cli.main",

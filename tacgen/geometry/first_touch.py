@@ -112,7 +112,7 @@ def least_over(vertices: Array, triangles: Array, pad: Pad, pose: Array) -> floa
     """
     x = vertices @ pose[:3, :3].T + pose[:3, 3]
     least = float(x[pad.contains(*x[:, :2].T), 2].min(initial=np.inf))
-    if least < pose[2, 3] + MAX_GRID_ERROR_MM:
+    if least < x[:, 2].min() + MAX_GRID_ERROR_MM:
         return least
     rim = pad.outline(OUTLINE_SAG_MM)
     a = x[triangles]

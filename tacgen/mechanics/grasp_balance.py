@@ -8,6 +8,7 @@ then sinks by `GraspScene.fall` a frame, all other components balance, and the f
 
 import math
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
@@ -17,7 +18,7 @@ import numpy as np
 from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.frames import GUESSED_DEPTH_RATIO, normal_force, trial
+from tacgen.mechanics.frames import normal_force, trial
 from tacgen.mechanics.grasp import FINGER_ROTATIONS, FINGER_SIDES, GraspScene, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT_OPTIONS, tighter
@@ -46,6 +47,11 @@ MIN_STIFFNESS_RATIO = 1e-6  # singular value over the largest, below which a mot
 # the error of a resultant is the sum of the nodal residuals, some ten times their 2-norm
 GRASP_OPTIONS = tighter(DEFAULT_OPTIONS)
 MIN_GRASP_STEP = 1 / 4  # smallest fraction of a Newton step in the line search [-]
+FIRST_GRIP_SHARE = 0.03  # of the force of a frame, with which fingers first touch on the way to it [-]
+FIRST_GRIP_TOL = 0.9  # of that force, and MAX_FIRST_IMBALANCE over it: of no weight beside the frame's own [-]
+MAX_FIRST_IMBALANCE = 0.1
+LIGHTER_GRIP_RATIO = 1 / 3  # of grips one after the other, below which a grip between them is found first [-]
+FIRST_DEPTH_RATIO = 0.005  # first guess of the depth there, over the gel's thickness [-]
 
 
 @dataclass(frozen=True)
@@ -99,6 +105,7 @@ def held(grasp: GraspScene, problems: tuple[Problem, Problem], *, tol: float | N
         note = wanted.note if wanted else ""
         frame = Frame(grasp, problems, last, index, begun, problems[0].options.force_tol if tol is None else tol)
         try:
+            frame, mode = frame.begun(mode)
             found = frame.find(mode)
         except NotConverged as error:
             if wanted is None or index == 0:
@@ -138,6 +145,24 @@ class Frame:
         self.arm, self.trials = grasp.opening / 2, 0
         self.scale = np.array([1.0, 1, 1, self.arm, self.arm, self.arm])
         self.before = grasp.gripper[index - 1] if index else grasp.begin
+
+    def begun(self, mode: Mode) -> tuple["Frame", Mode]:
+        """The frame, begun where both fingers just touch the object, if they did not, or on the way to a much lighter
+        grip; and the mode there. Raises NotConverged.
+
+        Points that touch anew stick where they first touch. From afar, in one step to the whole force, all of them do,
+        wherever the object is: friction then tells nothing of how it moves, and Newton's method finds no balance.
+        """
+        way, then = copy(self), copy(self)
+        if self.last.grip == 0 and self.force > 0:
+            way.force, way.tol, way.balanced = FIRST_GRIP_SHARE * self.force, FIRST_GRIP_TOL, MAX_FIRST_IMBALANCE
+        elif 0 < self.force < LIGHTER_GRIP_RATIO * self.last.grip:
+            way.force = math.sqrt(self.force * self.last.grip)
+        else:
+            return self, mode
+        then.last, mode = way.find(mode)
+        then.before = self.gripper
+        return then, mode
 
     def find(self, mode: Mode) -> tuple[Trial, Mode]:
         """The frame's equilibrium, and what the object does in it. Raises NotConverged.
@@ -211,7 +236,7 @@ class Frame:
         if math.isnan(self.force) or self.last.grip > 0:
             return self.last.width
         touching = min(self.last.width, self.grasp.opening)
-        return touching - 2 * GUESSED_DEPTH_RATIO * min(problem.thickness for problem in self.problems)
+        return touching - 2 * FIRST_DEPTH_RATIO * min(problem.thickness for problem in self.problems)
 
     def _trial(self, pose: Array, width: float, near: Trial | None = None) -> Trial:
         """Both gels with the object there, from the last frame's history. Raises NotConverged."""
@@ -318,7 +343,9 @@ class Frame:
 
 def presolved(grasp: GraspScene) -> GraspScene:
     """The grasp with meshes that are fine where a solve on coarse ones has the object (see presolve); if that fails, at
-    the poses found so far and at those of the recipe's movements."""
+    the poses found so far and at those of the recipe's movements. Where the final edges are as long, only at these."""
+    if all(scene.edge >= scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS for scene in grasp.fingers):
+        return grasp
     rough = tuple(
         replace(
             scene, edge=max(scene.edge, scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS), dhat=max(scene.dhat, 0.05)

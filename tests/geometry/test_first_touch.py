@@ -176,3 +176,15 @@ def test_beside_the_face_of_a_solid_there_is_no_gel() -> None:
     face = first_touch.face_near(gel, np.zeros(2), np.array([20.0, 20.0]), 2.0)
     assert np.hypot(face[:, 0], face[:, 1]).max() < 17.4
     assert first_touch.contact_height(SphereSdf(1.0), gel, pose(x=19.5, y=19.5)) == -np.inf
+
+
+def test_a_wide_body_is_touched_before_the_neck_whose_corners_are_over_the_pad() -> None:
+    """A bottle across the pad, its frame in the axis: corners of the neck are over the pad, those of the body beside
+    it."""
+    body, neck = trimesh.creation.box((40, 24, 24)), trimesh.creation.box((24, 12, 12))
+    neck.apply_translation((20, 0, 0))
+    bottle, pose = trimesh.util.concatenate([body, neck]), np.eye(4)
+    pose[:3, 3] = -5.0, 0.0, 12.0
+    assert first_touch.least_over(bottle.vertices, bottle.faces, Pad(30.0, 20.0, 0.0), pose) == pytest.approx(
+        0.0, abs=1e-9
+    )

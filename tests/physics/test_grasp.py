@@ -220,7 +220,22 @@ def test_a_force_is_looked_for_where_the_object_is() -> None:
     frame.problems, frame.force, frame.width = (SimpleNamespace(thickness=4.0),) * 2, 1.0, np.nan
     frame.grasp = SimpleNamespace(opening=21.5)
     frame.last = Trial(np.eye(4), 40.0, (), np.zeros(6), 0.0)
-    assert frame._first_width() == pytest.approx(21.5 - 0.8)
+    assert frame._first_width() == pytest.approx(21.5 - 0.04)
+
+
+def test_a_plate_beside_the_middle_is_gripped_at_once_from_afar(tmp_path: Path) -> None:
+    """In one frame from wide open to the whole force, as recorded grippers close; then held, and let almost go."""
+    plate = HEAD.replace("edge_mm: 1.0", "edge_mm: 1.5") + (
+        f"indenter: {{shape: box, size_x_mm: 14, size_y_mm: 12, fillet_mm: 0.5}}\n"
+        f"grasp: {{mass_kg: {MASS}, height_mm: 5, y_mm: 4}}\n"
+    )
+    moves = ("close: {width_mm: 40, frames: 1}", "close: {force_n: 6, frames: 1}", "lift: {height_mm: 1, frames: 1}")
+    _, gripped, lifted, light = found(tmp_path, plate, *moves, "close: {force_n: 1, frames: 1}")
+    assert gripped.mode == Mode.standing
+    assert lifted.mode == light.mode == Mode.held
+    assert [grip(one) for one in (gripped, light)] == pytest.approx([6.0, 1.0], rel=3e-3)
+    for one in (lifted, light):
+        assert on_object(one).sum(0) == pytest.approx([0.0, 0.0, WEIGHT], abs=1e-3 * max(grip(one), WEIGHT))
 
 
 def test_an_object_is_held_where_it_is_between_the_pads(tmp_path: Path) -> None:
