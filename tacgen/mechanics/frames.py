@@ -96,8 +96,7 @@ def _reach_force(
     refused = [t.failure for t in trials if t.failure is not None]
     if end is End.stopped:
         raise NotConverged(Failure.force_effort, **known_as, why=refused[-1], most=most)
-    if not refused and problem.options.step_tol >= DEFAULT_OPTIONS.step_tol:  # tolerances are large beside light forces
-        finer = replace(problem, options=tighter(problem.options))
+    if not refused and (finer := _finer(problem)) is not None:  # tolerances are large beside light forces
         return (yield from _reach_force(finer, history, last, guess, index, duration, aim))
     why = refused[-1] if refused else f"not met within {aim.tol:g} of it in {len(trials)} trials"
     raise NotConverged(Failure.force, **known_as, most=most, why=why)
@@ -125,16 +124,22 @@ def _matched_force(
     return found, ""
 
 
+def _finer(problem: Problem) -> Problem | None:
+    """The problem with a tenth of the tolerances; None if they are smaller than the usual ones already."""
+    if problem.options.step_tol < DEFAULT_OPTIONS.step_tol:
+        return None
+    return replace(problem, options=tighter(problem.options))
+
+
 def _reach_pose(
     problem: Problem, history: History, last: Array, pose: Array, turn: Array, index: int, duration: float
 ) -> Generator[Task, None, Course]:
     """From pose `last` to `pose`; once more with smaller tolerances where forces do not balance with the usual ones."""
     task = Task(problem, to_pose(problem, history, last, pose, turn, index, duration))
     yield task
-    failed, finest = task.now.failure, problem.options.step_tol < DEFAULT_OPTIONS.step_tol
-    if finest or failed is None or failed.failure is not Failure.unbalanced:
+    failed, finer = task.now.failure, _finer(problem)
+    if finer is None or failed is None or failed.failure is not Failure.unbalanced:
         return task.now
-    finer = replace(problem, options=tighter(problem.options))
     task = Task(finer, to_pose(finer, history, last, pose, turn, index, duration))
     yield task
     return task.now

@@ -115,13 +115,13 @@ def text(found: Sequence[Compared]) -> str:
     rows = [["log", "frames", "contact", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"]]
     every = [one.summary() for one in found]
     rows += [[one["log"], str(one["frames"]), str(one["in_contact"]), *_cells(one, "normal")] for one in every]
-    lines += _aligned(rows)
+    lines += aligned(rows)
     lines += ["tangential force [N]: the same, in the plane of the gel"]
     rows = [
         ["log", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"],
         *([one["log"], *_cells(one, "tangential")] for one in every),
     ]
-    lines += _aligned(rows)
+    lines += aligned(rows)
     lines += [f"{one.log.name}: {one.reason}" for one in found if one.reason]
     if len(found) == 1 and len(found[0].ours):
         lines += [
@@ -160,14 +160,15 @@ def _frames(one: Compared) -> list[str]:
         parts = (one.ours[k], None if one.std is None else one.std[k], theirs)
         error = None if theirs is None else theirs - one.ours[k]
         rows.append([str(one.log.row[k]), time[k], *map(_vector, (*parts, error))])
-    return _aligned(rows)
+    return aligned(rows)
 
 
 def _vector(values: Array | None) -> str:
     return "-" if values is None else " ".join(f"{value:.3f}" for value in values + 0.0)
 
 
-def _aligned(rows: list[list[str]]) -> list[str]:
+def aligned(rows: list[list[str]]) -> list[str]:
+    """Lines of a table of cells, each column as wide as its widest cell."""
     wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  " + "  ".join(cell.rjust(w) for cell, w in zip(row, wide, strict=True)) for row in rows]
 

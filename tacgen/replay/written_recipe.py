@@ -22,20 +22,27 @@ POSE_TITLES = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
 def table(log: ContactLog) -> str:
     """The rows of a log as a table of poses."""
-    from scipy.spatial.transform import Rotation
-
-    def columns(poses: Array) -> Array:
-        return np.hstack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)])
-
-    titles, parts = [*POSE_TITLES], [columns(log.body)]
+    titles, parts = [*POSE_TITLES], [pose_columns(log.body)]
     if log.sensor is not None:
         titles += [f"sensor_{title}" for title in POSE_TITLES]
-        parts.append(columns(log.sensor))
+        parts.append(pose_columns(log.sensor))
     if log.force is not None:
         titles += [f"force_{axis}_n" for axis in "xyz"]
         parts.append(log.force)
-    lines = [f"# {log.name}: poses in the world frame, force on the sensor", ",".join(["row", "time_s", *titles])]
-    for row, time, values in zip(log.row.tolist(), log.time.tolist(), np.hstack(parts).tolist(), strict=True):
+    return table_of(log, "poses in the world frame, force on the sensor", titles, np.hstack(parts))
+
+
+def pose_columns(poses: Array) -> Array:
+    """Positions and quaternions (n, 7), as of POSE_TITLES, of poses (n, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.hstack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)])
+
+
+def table_of(log: ContactLog, what: str, titles: Sequence[str], numbers: Array) -> str:
+    """A table of numbers (n, k) in the n rows of a log, with a comment that says what they are."""
+    lines = [f"# {log.name}: {what}", ",".join(["row", "time_s", *titles])]
+    for row, time, values in zip(log.row.tolist(), log.time.tolist(), numbers.tolist(), strict=True):
         lines.append(",".join(map(repr, (row, time, *values))))
     return "\n".join(lines) + "\n"
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.recipe.model import Grasp
-from tacgen.replay.written_recipe import POSE_TITLES
+from tacgen.replay.written_recipe import POSE_TITLES, pose_columns, table_of
 from tacgen.touch import intervals
 from tacgen.touch.episode import EpisodeLog, Thing
 from tacgen.touch.intervals import AtFinger, Interval
@@ -77,8 +77,6 @@ def _grip(episode: EpisodeLog, interval: Interval, at: Sequence[AtFinger]) -> Ar
 
 def table(interval: Interval, episode: EpisodeLog, at: Sequence[AtFinger]) -> str:
     """The table of a grasp: poses of gripper and object, grip and width."""
-    from scipy.spatial.transform import Rotation
-
     log = interval.log
     assert log.sensor is not None
     left, right = _sensors(episode, interval)
@@ -91,17 +89,9 @@ def table(interval: Interval, episode: EpisodeLog, at: Sequence[AtFinger]) -> st
     gripper[:, :3, 3] += np.einsum("nij,nj->ni", mine[:, :3, :3], across / 2)
     grip = np.interp(log.time, episode.time, _grip(episode, interval, at))
     thing = log.body @ interval.thing.surface.pose
-
-    def columns(poses: Array) -> Array:
-        turn = Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)
-        return np.hstack([poses[:, :3, 3], turn])
-
-    titles = ["row", "time_s", *POSE_TITLES, "grip_n", "width_mm", *(f"object_{title}" for title in POSE_TITLES)]
-    numbers = np.hstack([columns(gripper), grip[:, None], across[:, 2:], columns(thing)])
-    lines = [f"# {log.name}: poses of gripper and object in the world frame", ",".join(titles)]
-    for row, time, values in zip(log.row.tolist(), log.time.tolist(), numbers.tolist(), strict=True):
-        lines.append(",".join(map(repr, (row, time, *values))))
-    return "\n".join(lines) + "\n"
+    titles = [*POSE_TITLES, "grip_n", "width_mm", *(f"object_{title}" for title in POSE_TITLES)]
+    numbers = np.hstack([pose_columns(gripper), grip[:, None], across[:, 2:], pose_columns(thing)])
+    return table_of(log, "poses of gripper and object in the world frame", titles, numbers)
 
 
 def block(interval: Interval, gravity: Sequence[float], right: str) -> dict[str, Any]:

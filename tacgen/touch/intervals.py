@@ -9,6 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 from tacgen.base.errors import UserError
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
+from tacgen.recipe import pose_table
 from tacgen.recipe.indenters import Indenter
 from tacgen.replay import selection
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
@@ -184,12 +185,8 @@ def _relative(log: ContactLog, finger: Finger, body: RecordedBody) -> Array:
 
 def mounted(finger: Finger, bodies: Array) -> Array:
     """Poses (n, 4, 4) of a finger's sensor frame in the world, from those of its body."""
-    from scipy.spatial.transform import Rotation
-
-    mount = np.eye(4)
-    mount[:3, :3] = Rotation.from_quat(finger.mount.quaternion, scalar_first=True).as_matrix()
-    mount[:3, 3] = finger.mount.position_mm
-    return bodies @ mount
+    (mount,) = pose_table.matrices([finger.mount.position_mm], [finger.mount.quaternion])
+    return np.asarray(bodies @ mount)
 
 
 def _normal(log: ContactLog, finger: Finger) -> Array:

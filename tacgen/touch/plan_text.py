@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
+from tacgen.replay.comparison import MIN_CONTACT_FORCE_N, aligned
 from tacgen.touch.episode import EpisodeLog, Touch
 from tacgen.touch.scenes import TouchScenes
 
@@ -77,9 +77,8 @@ def engine_lines(table: Sequence[dict[str, Any]]) -> list[str]:
         ratio = "-" if one["ratio"] is None else f"{one['ratio']:.2f}"
         numbers = [f"{one['engine_n']:.3g}", f"{one['tacgen_n']:.3g}", ratio]
         rows.append([one["episode"], one["finger"], one["object"], str(one["rows"]), *numbers])
-    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
     head = "largest normal forces, and the median of the engine's over tacgen's where both have one"
-    return [head, *("  " + "  ".join(cell.rjust(w) for cell, w in zip(row, wide, strict=True)) for row in rows)]
+    return [head, *aligned(rows)]
 
 
 def notes(episodes: Sequence[EpisodeLog], touches: Sequence[Sequence[Touch]]) -> list[str]:
