@@ -20,6 +20,7 @@ from tacgen.physics.types import (
     Reals4,
     Vectors2,
     Vectors3,
+    in_precisions,
     real,
 )
 
@@ -175,8 +176,4 @@ def with_points(
                         out[s, r, column] = out[s, r, column] + out.dtype(total)
 
 
-def _in_precision(r: Any) -> wp.Kernel:
-    return wp.overload(with_points, {"K": wp.array3d(dtype=r), "out": wp.array3d(dtype=r)})
-
-
-WITH_POINTS = {4: _in_precision(wp.float32), 8: _in_precision(wp.float64)}  # by the bytes of a number of K
+WITH_POINTS = in_precisions(with_points, ("K", "out"))  # by the bytes of a number of K

@@ -24,13 +24,15 @@ from tacgen.physics import COMPILER_FLAGS
 Array = np.ndarray
 MODULE = "tacgen.physics"  # of all kernels of the solver that a core runs
 BATCHES = "tacgen.batches"  # of kernels of many scenes alone, which a core runs in tests
+ELIMINATION = "tacgen.elimination"  # of kernels in which a warp of a GPU has all registers that there are
 OPTICS = "tacgen.optics"  # of all kernels of pictures
 # the files of this folder whose kernels belong to a module of machine code; it is loaded when all of them are known
 KERNEL_FILES = {
     MODULE: (
         *("assembly", "contact", "distances", "edges", "elements", "interpolation", "jacobian", "raster", "tangents"),
     ),
-    BATCHES: ("facets", "steps"),
+    ELIMINATION: ("elimination",),
+    BATCHES: ("facets", "fronts", "steps", "substitution"),
     OPTICS: (
         *("coat", "faces", "filters", "noise", "pictures", "response", "sampling", "shadows", "strip_columns"),
         *("strips", "taxim"),
@@ -39,6 +41,8 @@ KERNEL_FILES = {
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
 MAX_PREPARED_GPU_LAUNCHES = 4096  # launches on a GPU that stay prepared: calls have many sizes, each of some kB
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
+WARP_THREADS = 32  # of a GPU: they may read each other's registers
+MODULE_THREADS = {ELIMINATION: WARP_THREADS}  # of a block, where blocks of one warp spread over more of the GPU
 # bytes from an array's object to the address of its first number, which NumPy's C interface fixes: to read it there
 # takes a tenth of the time of __array_interface__
 ARRAY_ADDRESS = object.__basicsize__
@@ -55,7 +59,7 @@ def load(module: str, device: str) -> None:
 
         tangents.double()
     if device != "cpu":
-        wp.load_module(module, device)
+        wp.load_module(module, device, block_dim=MODULE_THREADS.get(module, BLOCK_THREADS))
         return
     wp.set_module_options({"block_dim": 1}, wp.get_module(module))  # as `wp.launch` on a core
     if module == OPTICS:
@@ -200,7 +204,8 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
     load(kernel.module.name, device.alias)
     axes = getattr(kernel.adj, "kernel_dim", len(dim))
     assert len(dim) == axes, f"{kernel.key} has threads of {axes} axes, not {len(dim)}"
-    return wp.launch(kernel, dim=dim, inputs=inputs, device=device, record_cmd=record)
+    threads = MODULE_THREADS.get(kernel.module.name, BLOCK_THREADS)
+    return wp.launch(kernel, dim=dim, inputs=inputs, device=device, record_cmd=record, block_dim=threads)
 
 
 def _launch_on_gpu(kernel: wp.Kernel, dim: tuple[int, ...], values: tuple[Any, ...]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from tacgen.physics.types import Flags, Ints3, Longs, Longs2, Reals, Reals2, Reals3, real
+from tacgen.physics.types import Flags, Ints3, Longs, Longs2, Reals, Reals2, Reals3, in_precisions, real
 
 SMALLEST = wp.constant(real(1e-300))  # so that nothing is divided by 0
 RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (wp.constant(k) for k in range(5))  # how a scene stands
@@ -226,14 +226,6 @@ def ended(
         k += step
 
 
-def _in_precisions(kernel: wp.Kernel, names: tuple[str, ...]) -> dict[int, wp.Kernel]:
-    """A kernel by the bytes of a number of some of its arguments."""
-    return {
-        size: wp.overload(kernel, dict.fromkeys(names, wp.array2d(dtype=r)))
-        for size, r in ((4, wp.float32), (8, wp.float64))
-    }
-
-
-PICKED = _in_precisions(picked, ("b", "less", "out"))
-JOINED = _in_precisions(joined, ("G", "X", "some"))
-EXACT = _in_precisions(exact, ("b", "product"))
+PICKED = in_precisions(picked, ("b", "less", "out"))
+JOINED = in_precisions(joined, ("G", "X", "some"))
+EXACT = in_precisions(exact, ("b", "product"))

@@ -12,10 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tacgen.physics.fronts import ASSEMBLED, ENTRIES, KEPT, LEFT
+from tacgen.physics.runtime import launch
+from tacgen.physics.substitution import GATHERED
 from tacgen.tensor_engine import dense
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
 from tacgen.tensor_engine.fronts import FrontGroup, Fronts, Panel
-from tacgen.tensor_engine.products import slot_times
+from tacgen.tensor_engine.products import product
 
 Array = np.ndarray
 
@@ -60,18 +63,10 @@ class Multifrontal:
     def assembled(self, elements: Tensor) -> Tensor:
         """The entries (B, pairs + 1, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
         pattern's hexes, rows and columns in the order 3a + i. Nodes without any stiffness get the unit matrix."""
-        if dense.fused(elements):
-            from tacgen.tensor_engine import gpu_fronts
-
-            return gpu_fronts.entries(elements, self._parts, self._diagonal)
-        flat = torch.nn.functional.pad(elements.flatten(1), (0, 1))
-        data = elements.new_zeros((len(elements), self.pairs + 1, 9))
-        block = (24 * torch.arange(3, device=self.device)[:, None] + torch.arange(3, device=self.device)).flatten()
-        for part in self._parts.unbind(1):  # sums of up to 8 elements, in an order that never changes
-            data[:, :-1] += flat[:, torch.where(part[:, None] < 0, -1, part[:, None] + block)]
-        void = self._diagonal & (data[:, :-1] == 0).all(-1)
-        data[:, :-1] += void[..., None] * torch.eye(3, dtype=data.dtype, device=self.device).flatten()
-        return data
+        out = elements.new_empty(len(elements), self.pairs + 1, 9)
+        flat = elements.contiguous().flatten(1)
+        launch(ENTRIES[out.element_size()], out.shape, flat, self._parts, self._diagonal, out)
+        return out
 
     def factor(self, data: Tensor, panels: list[Panel], slots: Tensor) -> tuple[Tensor, Tensor]:
         """Factorise the matrices whose entries `assembled` gives, into these slots (B,) of the panels.
@@ -104,7 +99,7 @@ class Multifrontal:
     def forward(self, panels: list[Panel], slots: Tensor, g: Tensor) -> Tensor:
         """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are those
         at `slots` (B,) of the panels."""
-        b, each = self._padded(g), iter(panels)
+        b, each = g.to(self.dtype).contiguous(), iter(panels)
         y, below = torch.zeros_like(b), b.new_empty(len(b), 0, 3)
         for level in self.levels:
             updates = b.new_empty(len(b), level[-1].row + level[-1].bound.numel(), 3)
@@ -112,35 +107,26 @@ class Multifrontal:
                 forward(group, next(each), slots, b, below, y, updates)
             below = updates
         forward(self.root, None, slots, b, below, y, below)
-        return y[:, :-1]
+        return y
 
     def backward(self, panels: list[Panel], slots: Tensor, y: Tensor, u: Tensor) -> Tensor:
         """x (B, n, 3) with L^T x = y away from the patch and x = u (B, k) on it; 0 at bonded nodes."""
-        y = self._padded(y)
+        y = y.to(self.dtype, copy=True)
         x = torch.zeros_like(y)
         x[:, self.patch] = u.to(self.dtype).view(len(y), -1, 3)
         for group, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
             backward(group, panel, slots, y, x)
-        return x[:, :-1]
-
-    def _padded(self, x: Tensor) -> Tensor:
-        """x (B, n, 3) with a 0 for padded nodes (B, n + 1, 3)."""
-        return torch.nn.functional.pad(x.to(self.dtype), (0, 0, 0, 1))
+        return x
 
 
 def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
     """The own columns (B, t, w + m, w) of fronts before elimination, of the matrix's entries (B, numbers) and the
     updates (B, numbers) of the level below; where there are no others, so m = 0, the whole symmetric matrices."""
-    _, w, m = fronts.sizes
-    if dense.fused(data):
-        from tacgen.tensor_engine import gpu_fronts
-
-        return gpu_fronts.assembled(fronts, data, below)
-    out = _summed(fronts, below, 0, w)
-    if fronts.entries is not None:
-        own = data.view(len(data), -1, 3, 3)[:, fronts.entries.long()]  # -1: the last, 0
-        out += own.transpose(3, 4).reshape(out.shape)
-    return out if m else _mirrored(out)
+    t, w, m = fronts.sizes
+    out = data.new_empty(len(data), t, w + m, w)
+    flat, sources = out.flatten(0, 1), (fronts.places, fronts.first, fronts.length, fronts.entries)
+    launch(ASSEMBLED[out.element_size()], flat.shape, data, below, *sources, not m, flat)
+    return out
 
 
 def eliminate(
@@ -152,80 +138,40 @@ def eliminate(
     Returns the leading minor of each (B, t) that is not positive, 0 where it is positive definite.
     """
     t, w, m = fronts.sizes
-    if dense.fused(data):
-        from tacgen.tensor_engine import gpu_fronts
-
-        return gpu_fronts.eliminate(fronts, data, below, panel, slots, updates, whole)
-    columns = assembled(fronts, data, below).flatten(0, 1)
-    inverse = columns[:, :w].contiguous()
-    info = dense.invert_factor(inverse)
-    L = dense.times_transposed(columns[:, w:], inverse)
-    for kept, new in ((panel.inverse, inverse), (panel.below, L)):
-        rows, length = (a - b for a, b in zip(kept.shape[2:], new.shape[1:], strict=True))
-        kept[slots] = torch.nn.functional.pad(new.unflatten(0, (-1, t)), (0, length, 0, rows))
-    left = _summed(fronts, below, w, w + m).flatten(0, 1) - dense.squared(L)
-    updates.copy_((_mirrored(left) if whole else left).view(updates.shape))
+    columns, size = assembled(fronts, data, below).flatten(0, 1), data.element_size()
+    info = dense.invert_factor(columns[:, :w])
+    low, (tall, long) = dense.times_transposed(columns[:, w:], columns[:, :w]), panel.inverse.shape[2:]
+    grid = len(columns), tall + panel.below.shape[2], long
+    launch(KEPT[size], grid, columns, low, slots, panel.inverse, panel.below)
+    if m:
+        sources = below, fronts.places, fronts.first, fronts.length, dense.squared(low)
+        launch(LEFT[size], (len(columns), m, m), *sources, whole, updates)
     return info.view(-1, t)
-
-
-def _mirrored(A: Tensor) -> Tensor:
-    """The symmetric matrices with these lower triangles."""
-    return torch.tril(A) + torch.tril(A, -1).mT
-
-
-def _summed(fronts: Fronts, below: Tensor, start: int, stop: int) -> Tensor:
-    """The children's sum in the rows of fronts from `start` on and the columns from there to `stop`."""
-    (t, w, m), size = fronts.sizes, below.shape[1]
-    places = fronts.places[:, :, :, start // 3 :].repeat_interleave(3, -1).long()  # (b, t, arity, rows)
-    number = 3 * places + torch.arange(3, device=below.device).repeat(places.shape[3] // 3)
-    out, flat = below.new_zeros(len(below), t, w + m - start, stop - start), torch.nn.functional.pad(below, (0, 1))
-    for c in range(fronts.first.shape[1]):
-        row = fronts.first[:, c, None] + number[:, :, c] * fronts.length[:, c, None]
-        row, column = (torch.where(places[:, :, c] < 0, size, each) for each in (row, number[:, :, c]))
-        at = (row[..., None] + column[..., None, : stop - start]).clamp_(max=size)  # there is a 0
-        out += flat.gather(1, at.flatten(1).expand(len(below), -1)).view(out.shape)
-    out.diagonal(dim1=2, dim2=3).add_((places[:, :, 0, : stop - start] == -2).to(out.dtype))
-    return out
 
 
 def forward(
     group: FrontGroup, panel: Panel | None, slots: Tensor, b: Tensor, below: Tensor, y: Tensor, updates: Tensor
 ) -> None:
-    """Vectors b (B, n + 1, 3) with what the children add, from those of the level below (B, rows, 3): L^-1 of them into
-    y at the own nodes, and what is left of the others into updates. Without a panel, as for the patch, into y."""
-    if dense.fused(b):
-        from tacgen.tensor_engine import gpu_substitution
-
-        return gpu_substitution.forward(group, panel, slots, b, below, y, updates)
+    """Vectors b (B, n, 3) with what the children add, from those of the level below (B, rows, 3): L^-1 of them into y
+    at the own nodes, and what is left of the others into updates. Without a panel, as for the patch, into y."""
     t, w, m = group.fronts.sizes
-    carried = _carried(group, below)
-    own = (b[:, group.own] + carried[:, :, : w // 3]).view(-1, t, w)
-    if panel is not None:
-        own = slot_times(panel.inverse, slots, own)
-        left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, own).view(-1, t, m // 3, 3)
-        updates[:, group.row : group.row + group.bound.numel()] = left.flatten(1, 2)
-    y[:, group.own.view(-1)] = own.view(len(b), -1, 3)
-    return None
+    size, flat = b.element_size(), y.flatten(1)[:, None]
+    sources = b.flatten(1)[:, None], group.own, below.flatten(1)[:, None], group.fronts.places[0], group.rows
+    if panel is None:
+        launch(GATHERED[size], (len(b), t, w), *sources, flat, group.own)
+        return
+    felt = b.new_empty(len(b), t, w + m)
+    launch(GATHERED[size], felt.shape, *sources, felt, None)
+    product(panel.inverse, slots, felt, flat, lower=True, to=group.own)
+    left = updates[:, group.row : group.row + group.bound.numel()].flatten(1).unflatten(1, (t, m))
+    product(panel.below, slots, flat, left, at=group.own, start=felt[:, :, w:])
 
 
 def backward(group: FrontGroup, panel: Panel, slots: Tensor, y: Tensor, x: Tensor) -> None:
-    """x (B, n + 1, 3) at the own nodes of fronts from y and x at the others; y may change."""
-    if dense.fused(y):
-        from tacgen.tensor_engine import gpu_substitution
-
-        return gpu_substitution.backward(group, panel, slots, y, x)
-    t, w, m = group.fronts.sizes
-    q = y[:, group.own].view(-1, t, w) - slot_times(panel.below, slots, x[:, group.bound].view(-1, t, m), True)
-    x[:, group.own.view(-1)] = slot_times(panel.inverse, slots, q, True).view(len(y), -1, 3)
-    return None
-
-
-def _carried(group: FrontGroup, below: Tensor) -> Tensor:
-    """The sum (B, t, w + m, 3) that the children of fronts add to vectors, of the updates (B, rows, 3) of the level
-    below."""
-    places = group.fronts.places[0]
-    at = torch.where(places < 0, below.shape[1], group.rows[:, :, None] + places)
-    return torch.nn.functional.pad(below, (0, 0, 0, 1))[:, at].sum(2)
+    """x (B, n, 3) at the own nodes of fronts from y and x at the others; y may change."""
+    b, solved = y.flatten(1)[:, None], x.flatten(1)[:, None]
+    product(panel.below, slots, solved, b, transposed=True, start=b, at=group.bound, to=group.own)
+    product(panel.inverse, slots, b, solved, transposed=True, lower=True, at=group.own, to=group.own)
 
 
 def _children(nodes: Array, children: Array, below: Level | None) -> tuple[Array, Array, Array, Array]:

@@ -1,6 +1,9 @@
-"""Products of matrices in slots and vectors."""
+"""Products of matrices in slots and vectors: nothing is copied, and nothing else is read."""
 
 from torch import Tensor
+
+from tacgen.physics.runtime import WARP_THREADS, lanes, launch
+from tacgen.physics.substitution import SECTOR_NUMBERS, TIMES, TRANSPOSED_TIMES
 
 Used = tuple[Tensor, Tensor]
 
@@ -8,10 +11,21 @@ Used = tuple[Tensor, Tensor]
 def slot_times(A: Tensor, slots: Tensor, x: Tensor, transposed: bool = False, used: Used | None = None) -> Tensor:
     """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c), in the
     precision of x; transposed: of A^T (s, ..., c) and x (s, ..., r). used: numbers of rows and columns (capacity,)
-    beyond which products are 0. On a GPU nothing is copied, and nothing else is read."""
-    if A.is_cuda:
-        from tacgen.tensor_engine import gpu_blocks
+    beyond which products are 0."""
+    out = x.new_empty(*x.shape[:-1], A.shape[-1 if transposed else -2])
+    matrices, vector, result = (part.unsqueeze(1) if A.dim() == 3 else part for part in (A, x, out))
+    product(matrices, slots, vector, result, transposed=transposed, used=used)
+    return out
 
-        return gpu_blocks.slot_times(A, slots, x, transposed, used)
-    some = A[slots].to(x.dtype)
-    return ((some.mT if transposed else some) @ x[..., None]).squeeze(-1)
+
+def product(
+    A: Tensor, slots: Tensor, x: Tensor, out: Tensor, *, transposed: bool = False, lower: bool = False,
+    used: Used | None = None, start: Tensor | None = None, at: Tensor | None = None, to: Tensor | None = None,
+) -> None:  # fmt: skip
+    """A x, or start - A x, into `out`; see physics.substitution, whose arguments these are."""
+    kernels, count = (TRANSPOSED_TIMES, A.shape[3]) if transposed else (TIMES, A.shape[2])
+    step = lanes(x, WARP_THREADS)
+    each = min(SECTOR_NUMBERS, step) if transposed else max(step // SECTOR_NUMBERS, 1)  # results of so many threads
+    dim = len(slots) * A.shape[1], -(-count // each), step
+    kernel = kernels[A.element_size(), x.element_size()]
+    launch(kernel, dim, A, slots, *(used or (None, None)), lower, x, at, start, step, out, to)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tacgen.physics import facets, steps
 from tacgen.physics.runtime import lanes, launch
-from tacgen.tensor_engine.dense import MAX_DIRECT_ROWS, half, invert_factor
+from tacgen.tensor_engine.dense import Own, eliminate, invert_factor
 from tacgen.tensor_engine.products import Used, slot_times
 from tacgen.tensor_engine.replay import rare
 
@@ -22,7 +22,6 @@ MAX_UNPIVOTED_RESIDUAL = 1e-2
 PADDING_PLACE = -(2**31)  # the place of padding
 ROW_ALIGNMENT = 4  # numbers at whose multiples rows of a system start, for the library's products
 THREADS_PER_ROW = 32  # of a matrix, on a GPU: those of a warp read what is next to each other
-Own = tuple[Tensor, Tensor]  # numbers of rows by slot (capacity,), and slots (s,)
 
 
 @dataclass(frozen=True)
@@ -65,22 +64,8 @@ def _picked(b: Tensor, at: Tensor, less: Tensor | None = None) -> Tensor:
 
 
 def solved(K: Tensor, b: Tensor, symmetric: bool = False, own: Own | None = None) -> tuple[Tensor, Tensor]:
-    """x (s, a, 1) of K x = b, and which K (s, a, a) are regular or, if symmetric, positive definite: by LU with pivots
-    or Cholesky's method, or on a GPU as below. own: numbers of rows of each slot's matrix (capacity,), and slots (s,),
-    beyond which K is the unit matrix and b is 0."""
-    if K.is_cuda and K.dtype == torch.float32:
-        return solved_by_elimination(K, b, symmetric, own)
-    if symmetric:
-        L, info = torch.linalg.cholesky_ex(K)
-        return torch.cholesky_solve(b, L), info == 0
-    LU, pivots, info = torch.linalg.lu_factor_ex(K)
-    return torch.linalg.lu_solve(LU, pivots, b), info == 0
-
-
-def solved_by_elimination(
-    K: Tensor, b: Tensor, symmetric: bool = False, own: Own | None = None
-) -> tuple[Tensor, Tensor]:
-    """As `solved`, without pivots where that is exact enough for a step of Newton's method: much faster on a GPU."""
+    """x (s, a, 1) of K x = b, and which K (s, a, a) are regular or, if symmetric, positive definite. own: see
+    dense.eliminate. Pivots are chosen only where a step of Newton's method needs them."""
     n = K.shape[1]
     if not n:  # nothing touches
         return b, torch.ones(len(K), dtype=torch.bool, device=K.device)
@@ -92,8 +77,8 @@ def solved_by_elimination(
     good = _exact(b, K @ x)
     if rare(~good):  # not a number is not small
         bad = torch.nonzero(~good).squeeze(1)
-        some, regular = solved(K[bad].double(), b[bad].double())
-        x[bad], good[bad] = some.to(x.dtype), regular
+        LU, pivots, info = torch.linalg.lu_factor_ex(K[bad].double())
+        x[bad], good[bad] = torch.linalg.lu_solve(LU, pivots, b[bad].double()).to(x.dtype), info == 0
     return x, good
 
 
@@ -105,31 +90,6 @@ def _exact(b: Tensor, product: Tensor) -> Tensor:
         good,
     )  # fmt: skip
     return good
-
-
-def eliminate(W: Tensor, n: int, own: Own | None = None, first: int = 0) -> Tensor:
-    """Overwrite B of W = [A | B] (s, n, n + m) by A^-1 B, by Gauss-Jordan elimination without pivots, of blocks;
-    numbers in A mean nothing afterwards, nor do others of a scene where a block is singular. own: as in `solved`, of a
-    matrix whose rows before `first` are not those of W; on a GPU nothing is done for others.
-
-    Returns which A (s,), if they are symmetric, are positive definite.
-    """
-    if n <= MAX_DIRECT_ROWS and W.is_cuda and W.dtype == torch.float32:
-        from tacgen.tensor_engine import gpu_blocks
-
-        return gpu_blocks.eliminate(W, n, own, first)
-    if n <= MAX_DIRECT_ROWS:
-        A, B = W[..., :n], W[..., n:]
-        positive = torch.linalg.cholesky_ex(A)[1] == 0
-        B.copy_(torch.linalg.solve_ex(A, B)[0])
-        return positive
-    k = half(n)
-    above, below = W[:, :k], W[:, k:]
-    positive = eliminate(above, k, own, first)
-    below[..., k:].baddbmm_(below[..., :k], above[..., k:], alpha=-1)
-    positive = positive & eliminate(below[..., k:], n - k, own, first + k)
-    above[..., n:].baddbmm_(above[..., k:n], below[..., n:], alpha=-1)
-    return positive
 
 
 def reduced(S: Tensor, active: Tensor, exists: Tensor, a: int, e: int) -> tuple[Reduction, Tensor]:

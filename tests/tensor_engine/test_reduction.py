@@ -7,8 +7,9 @@ from helpers.needs import needs
 torch = needs("torch")
 
 
+from tacgen.tensor_engine.dense import eliminate
 from tacgen.tensor_engine.elements import ends_of
-from tacgen.tensor_engine.reduction import eliminate, reduced, solved_by_elimination, with_points
+from tacgen.tensor_engine.reduction import reduced, solved, with_points
 
 Array = np.ndarray
 SIZES, WIDTH = (18, 24, 12), 24  # unknowns of each scene, and of the widest
@@ -69,7 +70,7 @@ def test_systems_that_have_no_good_solution_without_pivots_are_solved_with_them(
     K[1, 5] = 0.0
     K[2, :192, :192] = 0.0  # a block on the diagonal
     b = torch.tensor(r.normal(size=(3, 400, 1)), dtype=torch.float32)
-    x, good = solved_by_elimination(K, b)
+    x, good = solved(K, b)
     assert good.tolist() == [True, False, True]
     for k in (0, 2):
         assert (K[k] @ x[k]).numpy() == pytest.approx(b[k].numpy(), abs=1e-3)
@@ -94,12 +95,12 @@ def test_elimination_tells_which_matrices_are_positive_definite(where: int) -> N
     A[1, where, where] = -1.0
     W = torch.tensor(np.concatenate([A, np.ones((2, 400, 1))], 2))
     assert eliminate(W, 400).tolist() == [True, False]
-    x, good = solved_by_elimination(torch.tensor(A), torch.ones(2, 400, 1, dtype=torch.float64), symmetric=True)
+    x, good = solved(torch.tensor(A), torch.ones(2, 400, 1, dtype=torch.float64), symmetric=True)
     assert good.tolist() == [True, False]
     assert x[0].numpy() == pytest.approx(np.linalg.solve(A[0], np.ones((400, 1))), rel=1e-6)
 
 
 def test_systems_without_unknowns_have_a_solution() -> None:
-    x, good = solved_by_elimination(torch.zeros(2, 0, 0), torch.zeros(2, 0, 1))
+    x, good = solved(torch.zeros(2, 0, 0), torch.zeros(2, 0, 1))
     assert x.shape == (2, 0, 1)
     assert good.all()

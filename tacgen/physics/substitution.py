@@ -1,0 +1,131 @@
+"""Products of matrices in slots and vectors, which may stand at nodes of a mesh, as Warp kernels.
+
+Matrices are A (capacity, t, r, c), of which a scene has those at its slot; vectors (s, t, numbers), or (s, 1, 3 n) of
+a mesh with `nodes` (t, numbers / 3): node n and later ones are padding, and 0. used: `down` and `across` (capacity,),
+rows and columns beyond which A is 0.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from tacgen.physics.elimination import told
+from tacgen.physics.types import Ints3, Longs, Longs2, in_precisions
+
+SECTOR_NUMBERS = wp.constant(8)  # that a GPU's memory gives at once, of single precision
+UNROLLED_PRODUCTS = 8  # that a thread begins before it waits for one
+
+
+@wp.func
+def number_at(x: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int):
+    """Number k of a front's vector."""
+    if nodes.shape[0] == 0:
+        return x[s, front, k] + x.dtype(0.0)
+    at = 3 * int(nodes[front, k / 3]) + k % 3
+    return wp.where(at < x.shape[2], x[s, 0, wp.min(at, x.shape[2] - 1)], x.dtype(0.0))
+
+
+@wp.func
+def set_at(out: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int, value: Any):
+    if nodes.shape[0] == 0:
+        out[s, front, k] = value
+        return
+    at = 3 * int(nodes[front, k / 3]) + k % 3
+    if at < out.shape[2]:
+        out[s, 0, at] = value
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def gathered(
+    b: wp.array3d(dtype=Any), own: Longs2, below: wp.array3d(dtype=Any), places: Ints3, children: wp.array2d(dtype=int),
+    out: wp.array3d(dtype=Any), to: Longs2,
+):  # fmt: skip
+    """Vectors of fronts: what b (s, 1, 3 n) has at their own nodes (t, w / 3) and the sum of the children's updates in
+    below (s, 1, numbers), whose first rows are `children` (t, arity)."""
+    s, front, k = wp.tid()
+    total = out.dtype(0.0)
+    if k / 3 < own.shape[1]:
+        total = number_at(b, own, s, front, k)
+    for c in range(children.shape[1]):
+        place = places[front, c, k / 3]
+        if place >= 0:
+            total += below[s, 0, 3 * (children[front, c] + place) + k % 3]
+    set_at(out, to, s, front, k, total)
+
+
+@wp.func
+def summed_apart(value: Any, lane: int, first: int, last: int):
+    """The sum over the threads of a warp whose numbers differ in the bits from `first` down to `last`; of the only
+    thread on a core."""
+    total, bit = value, int(first)
+    while bit >= last:
+        total += told(total, lane ^ bit)
+        bit /= 2
+    return total
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def times(
+    A: wp.array4d(dtype=Any), slots: Longs, down: Longs, across: Longs, lower: bool, x: wp.array3d(dtype=Any),
+    at: Longs2, start: wp.array3d(dtype=Any), step: int, out: wp.array3d(dtype=Any), to: Longs2,
+):  # fmt: skip
+    """A x, or start - A x if there is a start; `lower`: of lower triangles A. `step` threads have a row each, or as
+    many rows as they are SECTOR_NUMBERS."""
+    which, group, lane = wp.tid()
+    s, front = which / A.shape[1], which % A.shape[1]
+    slot, rows, columns = slots[s], A.shape[2], A.shape[3]
+    wide = wp.min(SECTOR_NUMBERS, step)
+    row, k = group * (step / wide) + lane / wide, lane % wide
+    if down.shape[0] > 0:
+        rows, columns = wp.min(int(down[slot]), rows), wp.min(int(across[slot]), columns)
+    if lower:
+        columns = wp.min(row + 1, columns)
+    total = out.dtype(0.0)
+    if row < rows:
+        while k < columns:
+            for i in range(UNROLLED_PRODUCTS):
+                column = wp.min(k + wp.static(i) * wide, columns - 1)
+                product = out.dtype(A[slot, front, row, column]) * number_at(x, at, s, front, column)
+                total += wp.where(k + wp.static(i) * wide < columns, product, out.dtype(0.0))
+            k += UNROLLED_PRODUCTS * wide
+    total = summed_apart(total, lane, wide / 2, 1)
+    if lane % wide == 0 and row < A.shape[2]:
+        if start.shape[0] > 0:
+            total = start[s, front, row] - total
+        set_at(out, to, s, front, row, total)
+
+
+@wp.kernel(enable_backward=False, module="tacgen.batches")
+def transposed_times(
+    A: wp.array4d(dtype=Any), slots: Longs, down: Longs, across: Longs, lower: bool, x: wp.array3d(dtype=Any),
+    at: Longs2, start: wp.array3d(dtype=Any), step: int, out: wp.array3d(dtype=Any), to: Longs2,
+):  # fmt: skip
+    """A^T x, or start - A^T x if there is a start, which stands where `out` does; `lower`: of lower triangles A. `step`
+    threads have SECTOR_NUMBERS columns, or one thread has one."""
+    which, group, lane = wp.tid()
+    s, front = which / A.shape[1], which % A.shape[1]
+    slot, rows, columns = slots[s], A.shape[2], A.shape[3]
+    wide = wp.min(SECTOR_NUMBERS, step)
+    column, k, parts = group * wide + lane % wide, lane / wide, step / wide
+    if down.shape[0] > 0:
+        rows, columns = wp.min(int(down[slot]), rows), wp.min(int(across[slot]), columns)
+    if lower:
+        k += group * wide / parts * parts
+    total = out.dtype(0.0)
+    if column < columns:
+        while k < rows:
+            for i in range(UNROLLED_PRODUCTS):
+                row = wp.min(k + wp.static(i) * parts, rows - 1)
+                product = out.dtype(A[slot, front, row, column]) * number_at(x, at, s, front, row)
+                total += wp.where(k + wp.static(i) * parts < rows, product, out.dtype(0.0))
+            k += UNROLLED_PRODUCTS * parts
+    total = summed_apart(total, lane, step / 2, wide)
+    if lane < wide and column < A.shape[3]:
+        if start.shape[0] > 0:
+            total = number_at(start, to, s, front, column) - total
+        set_at(out, to, s, front, column, total)
+
+
+TIMES = in_precisions(times, ("A",), ("x", "start", "out"))
+TRANSPOSED_TIMES = in_precisions(transposed_times, ("A",), ("x", "start", "out"))
+GATHERED = in_precisions(gathered, ("b", "below", "out"))
