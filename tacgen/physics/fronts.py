@@ -34,17 +34,21 @@ def summed(
     below: wp.array2d(dtype=Any), places: Ints4, first: Ints2, length: Ints2, scene: int, front: int, row: int,
     column: int,
 ):  # fmt: skip
-    """A number of a front at a row and a column of its lower triangle: the sum of the children's updates, and the unit
-    matrix where nodes are padding."""
+    """Numbers (3, 3) of a front at a row and a column of nodes in its lower triangle: the sum of the children's
+    updates, and the unit matrix where nodes are padding."""
     same = wp.min(scene, places.shape[0] - 1)  # all scenes may have the same places
-    out = below.dtype(0.0)
-    if row == column and places[same, front, 0, row / 3] == -2:
-        out = below.dtype(1.0)
+    out = wp.matrix(shape=(3, 3), dtype=below.dtype)
+    if row == column and places[same, front, 0, row] == -2:
+        for i in range(3):
+            out[i, i] = below.dtype(1.0)
     for c in range(first.shape[1]):
-        down, along = places[same, front, c, row / 3], places[same, front, c, column / 3]
+        down, along = places[same, front, c, row], places[same, front, c, column]
         if down >= 0 and along >= 0:
-            i, j = 3 * down + row % 3, 3 * along + column % 3
-            out += below[scene, first[front, c] + wp.max(i, j) * length[front, c] + wp.min(i, j)]
+            start, step = first[front, c], length[front, c]
+            for i in range(3):
+                for j in range(3):
+                    k, n = 3 * down + i, 3 * along + j
+                    out[i, j] += below[scene, start + wp.max(k, n) * step + wp.min(k, n)]
     return out
 
 
@@ -53,20 +57,31 @@ def assembled(
     data: wp.array2d(dtype=Any), below: wp.array2d(dtype=Any), places: Ints4, first: Ints2, length: Ints2,
     numbers: Ints3, whole: bool, out: wp.array3d(dtype=Any),
 ):  # fmt: skip
-    """Own columns (s t, w + m, w) of fronts, see multifrontal.assembled; above the diagonal only if `whole`. numbers
-    (t, w + m, w): of the matrix's blocks in data (s, pairs 9), -1 or the last where there is none."""
+    """Own columns (s t, w + m, w) of fronts, see multifrontal.assembled; a thread has a node's rows and one's columns,
+    those above the diagonal only if `whole`. numbers (t, w + m, w): of the matrix's blocks in data (s, pairs 9), -1 or
+    the last where there is none."""
     which, row, column = wp.tid()
     if column > row and not whole:
         return
     fronts = places.shape[1]
     scene, front = which / fronts, which % fronts
-    i, j = wp.max(row, column), wp.min(row, column)
-    total = summed(below, places, first, length, scene, front, i, j)
-    if numbers.shape[0] > 0 and j / 3 < numbers.shape[2]:
-        number = numbers[front, i / 3, j / 3]
+    high, low = wp.max(row, column), wp.min(row, column)
+    total = summed(below, places, first, length, scene, front, high, low)
+    if numbers.shape[0] > 0 and low < numbers.shape[2]:
+        number = numbers[front, high, low]
         if number >= 0:
-            total += data[scene, 9 * number + 3 * (i % 3) + j % 3]
-    out[which, row, column] = total
+            for i in range(3):
+                for j in range(3):
+                    from_row, from_column = i, j
+                    if high == low:  # a block on the diagonal, whose lower triangle counts
+                        from_row, from_column = wp.max(i, j), wp.min(i, j)
+                    total[i, j] += data[scene, 9 * number + 3 * from_row + from_column]
+    for i in range(3):
+        for j in range(3):
+            if column > row:
+                out[which, 3 * row + j, 3 * column + i] = total[i, j]
+            else:
+                out[which, 3 * row + i, 3 * column + j] = total[i, j]
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
@@ -75,20 +90,25 @@ def kept(
     under: wp.array4d(dtype=Any),
 ):  # fmt: skip
     """Factors (s t, w, w) and (s t, m, w) to where they are kept: at slots of inverse (capacity, t, n, l) and under
-    (capacity, t, k, l), which are 0 beyond them."""
-    which, row, column = wp.tid()
+    (capacity, t, k, l), which are 0 beyond them; a thread has three columns."""
+    which, row, three = wp.tid()
     fronts, tall = inverse.shape[1], inverse.shape[2]
     scene, front = which / fronts, which % fronts
-    slot, value = slots[scene], columns.dtype(0.0)
-    if row < tall:
-        if row < columns.shape[2] and column < columns.shape[2]:
-            value = columns[which, row, column] + value
-        inverse[slot, front, row, column] = value
-    else:
-        i = row - tall
-        if i < low.shape[1] and column < low.shape[2]:
-            value = low[which, i, column] + value
-        under[slot, front, i, column] = value
+    slot = slots[scene]
+    for j in range(3):
+        column = 3 * three + j
+        if column >= inverse.shape[3]:
+            return
+        if row < tall:
+            value = columns.dtype(0.0)
+            if row < columns.shape[2] and column < columns.shape[2]:
+                value = columns[which, row, column] + value
+            inverse[slot, front, row, column] = value
+        else:
+            i, value = row - tall, columns.dtype(0.0)
+            if i < low.shape[1] and column < low.shape[2]:
+                value = low[which, i, column] + value
+            under[slot, front, i, column] = value
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
@@ -97,16 +117,20 @@ def left(
     whole: bool, out: wp.array4d(dtype=Any),
 ):  # fmt: skip
     """Updates (s, t, m, m) of the other rows: the children's sums less the squares (s t, m, m), of lower triangles, or
-    if `whole` of both."""
+    if `whole` of both; a thread has a node's rows and one's columns."""
     which, row, column = wp.tid()
     if column > row:
         return
-    fronts, w = places.shape[1], 3 * places.shape[3] - out.shape[2]
+    fronts, w = places.shape[1], places.shape[3] - out.shape[2] / 3
     scene, front = which / fronts, which % fronts
-    value = summed(below, places, first, length, scene, front, w + row, w + column) - squares[which, row, column]
-    out[scene, front, row, column] = value
-    if whole:
-        out[scene, front, column, row] = value
+    total = summed(below, places, first, length, scene, front, w + row, w + column)
+    for i in range(3):
+        for j in range(3):
+            k, n = 3 * row + i, 3 * column + j
+            value = total[i, j] - squares[which, wp.max(k, n), wp.min(k, n)]
+            out[scene, front, k, n] = value
+            if whole:
+                out[scene, front, n, k] = value
 
 
 ENTRIES = in_precisions(entries, ("elements", "out"))

@@ -59,6 +59,7 @@ def load(module: str, device: str) -> None:
 
         tangents.double()
     if device != "cpu":
+        wp.set_module_options({"fast_math": module == ELIMINATION}, wp.get_module(module))  # reciprocals within 2 ulp
         wp.load_module(module, device, block_dim=MODULE_THREADS.get(module, BLOCK_THREADS))
         return
     wp.set_module_options({"block_dim": 1}, wp.get_module(module))  # as `wp.launch` on a core

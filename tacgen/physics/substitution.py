@@ -10,19 +10,35 @@ from typing import Any
 import warp as wp
 
 from tacgen.physics.elimination import told
+from tacgen.physics.runtime import BLOCK_THREADS, WARP_THREADS
 from tacgen.physics.types import Ints3, Longs, Longs2, in_precisions
 
 SECTOR_NUMBERS = wp.constant(8)  # that a GPU's memory gives at once, of single precision
-UNROLLED_PRODUCTS = 8  # that a thread begins before it waits for one
+# products that a thread begins before it waits for one: along a row, which a warp reads at once, and down a column
+UNROLLED_ALONG, UNROLLED_DOWN = 8, 16
+SHORT_ROW = wp.constant(64)  # numbers of a row up to which several rows share a warp
+LINE_NUMBERS = wp.constant(WARP_THREADS)  # columns that a warp reads at once, of which other warps read other rows
+
+
+@wp.func
+def number_of(x: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int):
+    """Number k of a front's vector, which has a row of its own."""
+    return x[s, front, k] + x.dtype(0.0)
+
+
+@wp.func
+def number_at_nodes(x: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int):
+    """Number k of a front's vector, which stands at its nodes."""
+    at = 3 * int(nodes[front, k / 3]) + k % 3
+    return wp.where(at < x.shape[2], x[s, 0, wp.min(at, x.shape[2] - 1)], x.dtype(0.0))
 
 
 @wp.func
 def number_at(x: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int):
     """Number k of a front's vector."""
     if nodes.shape[0] == 0:
-        return x[s, front, k] + x.dtype(0.0)
-    at = 3 * int(nodes[front, k / 3]) + k % 3
-    return wp.where(at < x.shape[2], x[s, 0, wp.min(at, x.shape[2] - 1)], x.dtype(0.0))
+        return number_of(x, nodes, s, front, k)
+    return number_at_nodes(x, nodes, s, front, k)
 
 
 @wp.func
@@ -54,78 +70,104 @@ def gathered(
 
 
 @wp.func
-def summed_apart(value: Any, lane: int, first: int, last: int):
-    """The sum over the threads of a warp whose numbers differ in the bits from `first` down to `last`; of the only
-    thread on a core."""
-    total, bit = value, int(first)
-    while bit >= last:
+def summed_along(value: Any, lane: int, count: int):
+    """The sum over `count` threads of a warp that are next to each other; of the only thread on a core."""
+    total, bit = value, count / 2
+    while bit > 0:
         total += told(total, lane ^ bit)
         bit /= 2
     return total
 
 
-@wp.kernel(enable_backward=False, module="tacgen.batches")
-def times(
-    A: wp.array4d(dtype=Any), slots: Longs, down: Longs, across: Longs, lower: bool, x: wp.array3d(dtype=Any),
-    at: Longs2, start: wp.array3d(dtype=Any), step: int, out: wp.array3d(dtype=Any), to: Longs2,
-):  # fmt: skip
-    """A x, or start - A x if there is a start; `lower`: of lower triangles A. `step` threads have a row each, or as
-    many rows as they are SECTOR_NUMBERS."""
-    which, group, lane = wp.tid()
-    s, front = which / A.shape[1], which % A.shape[1]
-    slot, rows, columns = slots[s], A.shape[2], A.shape[3]
-    wide = wp.min(SECTOR_NUMBERS, step)
-    row, k = group * (step / wide) + lane / wide, lane % wide
-    if down.shape[0] > 0:
-        rows, columns = wp.min(int(down[slot]), rows), wp.min(int(across[slot]), columns)
-    if lower:
-        columns = wp.min(row + 1, columns)
-    total = out.dtype(0.0)
-    if row < rows:
-        while k < columns:
-            for i in range(UNROLLED_PRODUCTS):
-                column = wp.min(k + wp.static(i) * wide, columns - 1)
-                product = out.dtype(A[slot, front, row, column]) * number_at(x, at, s, front, column)
-                total += wp.where(k + wp.static(i) * wide < columns, product, out.dtype(0.0))
-            k += UNROLLED_PRODUCTS * wide
-    total = summed_apart(total, lane, wide / 2, 1)
-    if lane % wide == 0 and row < A.shape[2]:
-        if start.shape[0] > 0:
-            total = start[s, front, row] - total
-        set_at(out, to, s, front, row, total)
+SUMMED_DOWN = """
+#if defined(__CUDA_ARCH__)
+    __shared__ decltype(value) numbers[PARTS][LINE];
+    __syncthreads();
+    numbers[thread / LINE][thread % LINE] = value;
+    __syncthreads();
+    if (thread < LINE) for (int part = 1; part < PARTS; ++part) value += numbers[part][thread];
+#endif
+    return value;
+""".replace("PARTS", str(BLOCK_THREADS // WARP_THREADS)).replace("LINE", str(WARP_THREADS))
 
 
-@wp.kernel(enable_backward=False, module="tacgen.batches")
-def transposed_times(
-    A: wp.array4d(dtype=Any), slots: Longs, down: Longs, across: Longs, lower: bool, x: wp.array3d(dtype=Any),
-    at: Longs2, start: wp.array3d(dtype=Any), step: int, out: wp.array3d(dtype=Any), to: Longs2,
-):  # fmt: skip
-    """A^T x, or start - A^T x if there is a start, which stands where `out` does; `lower`: of lower triangles A. `step`
-    threads have SECTOR_NUMBERS columns, or one thread has one."""
-    which, group, lane = wp.tid()
-    s, front = which / A.shape[1], which % A.shape[1]
-    slot, rows, columns = slots[s], A.shape[2], A.shape[3]
-    wide = wp.min(SECTOR_NUMBERS, step)
-    column, k, parts = group * wide + lane % wide, lane / wide, step / wide
-    if down.shape[0] > 0:
-        rows, columns = wp.min(int(down[slot]), rows), wp.min(int(across[slot]), columns)
-    if lower:
-        k += group * wide / parts * parts
-    total = out.dtype(0.0)
-    if column < columns:
-        while k < rows:
-            for i in range(UNROLLED_PRODUCTS):
-                row = wp.min(k + wp.static(i) * parts, rows - 1)
-                product = out.dtype(A[slot, front, row, column]) * number_at(x, at, s, front, row)
-                total += wp.where(k + wp.static(i) * parts < rows, product, out.dtype(0.0))
-            k += UNROLLED_PRODUCTS * parts
-    total = summed_apart(total, lane, step / 2, wide)
-    if lane < wide and column < A.shape[3]:
-        if start.shape[0] > 0:
-            total = number_at(start, to, s, front, column) - total
-        set_at(out, to, s, front, column, total)
+@wp.func_native(SUMMED_DOWN)
+def summed_down(value: wp.float32, thread: int) -> wp.float32:
+    """The sum over the warps of a block, in its first; of the only thread on a core."""
+    ...
 
 
-TIMES = in_precisions(times, ("A",), ("x", "start", "out"))
-TRANSPOSED_TIMES = in_precisions(transposed_times, ("A",), ("x", "start", "out"))
+@wp.func_native(SUMMED_DOWN)
+def summed_down(value: wp.float64, thread: int) -> wp.float64: ...  # noqa: F811  (Warp chooses by types)
+
+
+def _products(number: Any, key: str) -> tuple[dict[Any, wp.Kernel], ...]:
+    """Kernels whose vectors x are read by a function: no branch stands before a load, so that loads do not wait."""
+
+    def times(
+        A: wp.array4d(dtype=Any), slots: Longs, down: Longs, across: Longs, lower: bool, x: wp.array3d(dtype=Any),
+        at: Longs2, start: wp.array3d(dtype=Any), step: int, out: wp.array3d(dtype=Any), to: Longs2,
+    ):  # fmt: skip
+        """A x, or start - A x if there is a start; `lower`: of lower triangles A. `step` threads have a row, or of
+        short rows as many as they are SECTOR_NUMBERS."""
+        which, group, lane = wp.tid()
+        s, front = which / A.shape[1], which % A.shape[1]
+        slot, rows, columns = slots[s], A.shape[2], A.shape[3]
+        wide = step
+        if columns <= SHORT_ROW:
+            wide = wp.min(SECTOR_NUMBERS, step)
+        row, k = group * (step / wide) + lane / wide, lane % wide
+        if down.shape[0] > 0:
+            rows, columns = wp.min(int(down[slot]), rows), wp.min(int(across[slot]), columns)
+        if lower:
+            columns = wp.min(row + 1, columns)
+        total = out.dtype(0.0)
+        if row < rows:
+            while k < columns:
+                for i in range(UNROLLED_ALONG):
+                    column = wp.min(k + wp.static(i) * wide, columns - 1)
+                    product = out.dtype(A[slot, front, row, column]) * number(x, at, s, front, column)
+                    total += wp.where(k + wp.static(i) * wide < columns, product, out.dtype(0.0))
+                k += UNROLLED_ALONG * wide
+        total = summed_along(total, lane, wide)
+        if lane % wide == 0 and row < A.shape[2]:
+            if start.shape[0] > 0:
+                total = start[s, front, row] - total
+            set_at(out, to, s, front, row, total)
+
+    def transposed_times(
+        A: wp.array4d(dtype=Any), slots: Longs, down: Longs, across: Longs, lower: bool, x: wp.array3d(dtype=Any),
+        at: Longs2, start: wp.array3d(dtype=Any), step: int, out: wp.array3d(dtype=Any), to: Longs2,
+    ):  # fmt: skip
+        """A^T x, or start - A^T x if there is a start, which stands where `out` does; `lower`: of lower triangles A.
+        `step` threads have LINE_NUMBERS columns, or one thread has one."""
+        which, group, thread = wp.tid()
+        s, front = which / A.shape[1], which % A.shape[1]
+        slot, rows, columns = slots[s], A.shape[2], A.shape[3]
+        wide = wp.min(LINE_NUMBERS, step)
+        column, k, parts = group * wide + thread % wide, thread / wide, step / wide
+        if down.shape[0] > 0:
+            rows, columns = wp.min(int(down[slot]), rows), wp.min(int(across[slot]), columns)
+        if lower:
+            k += group * wide
+        total = out.dtype(0.0)
+        if column < columns:
+            while k < rows:
+                for i in range(UNROLLED_DOWN):
+                    row = wp.min(k + wp.static(i) * parts, rows - 1)
+                    product = out.dtype(A[slot, front, row, column]) * number(x, at, s, front, row)
+                    total += wp.where(k + wp.static(i) * parts < rows, product, out.dtype(0.0))
+                k += UNROLLED_DOWN * parts
+        total = summed_down(total, thread)
+        if thread < wide and column < A.shape[3]:
+            if start.shape[0] > 0:
+                total = number_at(start, to, s, front, column) - total
+            set_at(out, to, s, front, column, total)
+
+    module, options = wp.get_module("tacgen.batches"), {"enable_backward": False}
+    made = (wp.Kernel(f, key=f"{f.__name__}_{key}", module=module, options=options) for f in (times, transposed_times))
+    return tuple(in_precisions(kernel, ("A",), ("x", "start", "out")) for kernel in made)
+
+
+PRODUCTS = _products(number_of, "rows"), _products(number_at_nodes, "nodes")  # A x and A^T x
 GATHERED = in_precisions(gathered, ("b", "below", "out"))

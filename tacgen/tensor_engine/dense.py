@@ -48,7 +48,7 @@ def _inverse_factor(A: Tensor) -> Tensor:
     for at in range(0, n, by.size):
         launch(by.factor_rows, (b, tiles, by.lanes), A, R, info, at, n)
         if tiles > 1:
-            launch(by.later_rows, (b, -(-(n - at) // by.size), n), A, R, at, n)
+            launch(by.later_rows, (b, -(-(n - at) // by.size), tiles, by.lanes), A, R, at, n)
     return info
 
 
@@ -72,9 +72,9 @@ def eliminate(W: Tensor, n: int, own: Own | None = None, first: int = 0) -> Tens
     counts, slots = own or (None, torch.arange(s, device=W.device))
     positive = torch.empty(s, dtype=torch.int32, device=W.device)
     for at in range(0, n, by.size):
-        columns = W.shape[2] - min(at + by.size, n)
-        launch(by.pivot_rows, (s, -(-columns // by.size), by.lanes), W, positive, counts, slots, first, at, n)
-        launch(by.other_rows, (s, -(-n // by.size), columns), W, counts, slots, first, at, n)
+        tiles = -(-(W.shape[2] - min(at + by.size, n)) // by.size)
+        launch(by.pivot_rows, (s, tiles, by.lanes), W, positive, counts, slots, first, at, n)
+        launch(by.other_rows, (s, -(-n // by.size), tiles, by.lanes), W, counts, slots, first, at, n)
     return positive > 0
 
 

@@ -125,7 +125,7 @@ def assembled(fronts: Fronts, data: Tensor, below: Tensor) -> Tensor:
     t, w, m = fronts.sizes
     out = data.new_empty(len(data), t, w + m, w)
     flat, sources = out.flatten(0, 1), (fronts.places, fronts.first, fronts.length, fronts.entries)
-    launch(ASSEMBLED[out.element_size()], flat.shape, data, below, *sources, not m, flat)
+    launch(ASSEMBLED[out.element_size()], (len(flat), (w + m) // 3, w // 3), data, below, *sources, not m, flat)
     return out
 
 
@@ -141,11 +141,11 @@ def eliminate(
     columns, size = assembled(fronts, data, below).flatten(0, 1), data.element_size()
     info = dense.invert_factor(columns[:, :w])
     low, (tall, long) = dense.times_transposed(columns[:, w:], columns[:, :w]), panel.inverse.shape[2:]
-    grid = len(columns), tall + panel.below.shape[2], long
+    grid = len(columns), tall + panel.below.shape[2], -(-long // 3)
     launch(KEPT[size], grid, columns, low, slots, panel.inverse, panel.below)
     if m:
         sources = below, fronts.places, fronts.first, fronts.length, dense.squared(low)
-        launch(LEFT[size], (len(columns), m, m), *sources, whole, updates)
+        launch(LEFT[size], (len(columns), m // 3, m // 3), *sources, whole, updates)
     return info.view(-1, t)
 
 

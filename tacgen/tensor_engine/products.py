@@ -2,8 +2,8 @@
 
 from torch import Tensor
 
-from tacgen.physics.runtime import WARP_THREADS, lanes, launch
-from tacgen.physics.substitution import SECTOR_NUMBERS, TIMES, TRANSPOSED_TIMES
+from tacgen.physics.runtime import BLOCK_THREADS, WARP_THREADS, lanes, launch
+from tacgen.physics.substitution import PRODUCTS, SECTOR_NUMBERS, SHORT_ROW
 
 Used = tuple[Tensor, Tensor]
 
@@ -23,9 +23,11 @@ def product(
     used: Used | None = None, start: Tensor | None = None, at: Tensor | None = None, to: Tensor | None = None,
 ) -> None:  # fmt: skip
     """A x, or start - A x, into `out`; see physics.substitution, whose arguments these are."""
-    kernels, count = (TRANSPOSED_TIMES, A.shape[3]) if transposed else (TIMES, A.shape[2])
-    step = lanes(x, WARP_THREADS)
-    each = min(SECTOR_NUMBERS, step) if transposed else max(step // SECTOR_NUMBERS, 1)  # results of so many threads
+    kernels, count = PRODUCTS[at is not None][transposed], A.shape[3 if transposed else 2]
+    step = lanes(x, BLOCK_THREADS if transposed else WARP_THREADS)
+    each = min(WARP_THREADS, step)  # results of so many threads
+    if not transposed:
+        each = max(step // SECTOR_NUMBERS, 1) if A.shape[3] <= SHORT_ROW else 1
     dim = len(slots) * A.shape[1], -(-count // each), step
     kernel = kernels[A.element_size(), x.element_size()]
     launch(kernel, dim, A, slots, *(used or (None, None)), lower, x, at, start, step, out, to)
