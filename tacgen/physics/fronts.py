@@ -43,12 +43,15 @@ def summed(
             out[i, i] = below.dtype(1.0)
     for c in range(first.shape[1]):
         down, along = places[same, front, c, row], places[same, front, c, column]
-        if down >= 0 and along >= 0:
-            start, step = first[front, c], length[front, c]
-            for i in range(3):
-                for j in range(3):
-                    k, n = 3 * down + i, 3 * along + j
-                    out[i, j] += below[scene, start + wp.max(k, n) * step + wp.min(k, n)]
+        there = down >= 0 and along >= 0  # no branch stands before loads, which would wait for it
+        start, step = first[front, c], length[front, c]
+        part = wp.matrix(shape=(3, 3), dtype=below.dtype)
+        for i in range(3):
+            for j in range(3):
+                k, n = 3 * wp.max(down, 0) + i, 3 * wp.max(along, 0) + j
+                part[i, j] = below[scene, start + wp.max(k, n) * step + wp.min(k, n)]
+        if there:
+            out += part
     return out
 
 
@@ -123,11 +126,15 @@ def left(
         return
     fronts, w = places.shape[1], places.shape[3] - out.shape[2] / 3
     scene, front = which / fronts, which % fronts
-    total = summed(below, places, first, length, scene, front, w + row, w + column)
+    square = wp.matrix(shape=(3, 3), dtype=out.dtype)
     for i in range(3):
         for j in range(3):
             k, n = 3 * row + i, 3 * column + j
-            value = total[i, j] - squares[which, wp.max(k, n), wp.min(k, n)]
+            square[i, j] = squares[which, wp.max(k, n), wp.min(k, n)]
+    total = summed(below, places, first, length, scene, front, w + row, w + column) - square
+    for i in range(3):
+        for j in range(3):
+            k, n, value = 3 * row + i, 3 * column + j, total[i, j]
             out[scene, front, k, n] = value
             if whole:
                 out[scene, front, n, k] = value

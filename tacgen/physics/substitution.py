@@ -21,24 +21,35 @@ LINE_NUMBERS = wp.constant(WARP_THREADS)  # columns that a warp reads at once, o
 
 
 @wp.func
-def number_of(x: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int):
+def no_node(nodes: Longs2, front: int, k: int):
+    return 0
+
+
+@wp.func
+def row_number(x: wp.array3d(dtype=Any), s: int, front: int, node: int, k: int):
     """Number k of a front's vector, which has a row of its own."""
     return x[s, front, k] + x.dtype(0.0)
 
 
 @wp.func
-def number_at_nodes(x: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int):
+def node_of(nodes: Longs2, front: int, k: int):
+    """The node at which number k of a front's vector stands."""
+    return int(nodes[front, k / 3])
+
+
+@wp.func
+def node_number(x: wp.array3d(dtype=Any), s: int, front: int, node: int, k: int):
     """Number k of a front's vector, which stands at its nodes."""
-    at = 3 * int(nodes[front, k / 3]) + k % 3
-    return wp.where(at < x.shape[2], x[s, 0, wp.min(at, x.shape[2] - 1)], x.dtype(0.0))
+    place = 3 * node + k % 3
+    return wp.where(place < x.shape[2], x[s, 0, wp.min(place, x.shape[2] - 1)], x.dtype(0.0))
 
 
 @wp.func
 def number_at(x: wp.array3d(dtype=Any), nodes: Longs2, s: int, front: int, k: int):
     """Number k of a front's vector."""
     if nodes.shape[0] == 0:
-        return number_of(x, nodes, s, front, k)
-    return number_at_nodes(x, nodes, s, front, k)
+        return row_number(x, s, front, 0, k)
+    return node_number(x, s, front, node_of(nodes, front, k), k)
 
 
 @wp.func
@@ -101,8 +112,9 @@ def summed_down(value: wp.float32, thread: int) -> wp.float32:
 def summed_down(value: wp.float64, thread: int) -> wp.float64: ...  # noqa: F811  (Warp chooses by types)
 
 
-def _products(number: Any, key: str) -> tuple[dict[Any, wp.Kernel], ...]:
-    """Kernels whose vectors x are read by a function: no branch stands before a load, so that loads do not wait."""
+def _products(node: Any, number: Any, key: str) -> tuple[dict[Any, wp.Kernel], ...]:
+    """Kernels whose vectors x have numbers at nodes or not: all loads of a step stand before what waits for one, since
+    a GPU's compiler leaves them in their order."""
 
     def times(
         A: wp.array4d(dtype=Any), slots: Longs, down: Longs, across: Longs, lower: bool, x: wp.array3d(dtype=Any),
@@ -124,9 +136,18 @@ def _products(number: Any, key: str) -> tuple[dict[Any, wp.Kernel], ...]:
         total = out.dtype(0.0)
         if row < rows:
             while k < columns:
+                nodes = wp.vector(length=UNROLLED_ALONG, dtype=int)
+                factors = wp.vector(length=UNROLLED_ALONG, dtype=A.dtype)
+                numbers = wp.vector(length=UNROLLED_ALONG, dtype=out.dtype)
                 for i in range(UNROLLED_ALONG):
                     column = wp.min(k + wp.static(i) * wide, columns - 1)
-                    product = out.dtype(A[slot, front, row, column]) * number(x, at, s, front, column)
+                    nodes[wp.static(i)] = node(at, front, column)
+                    factors[wp.static(i)] = A[slot, front, row, column]
+                for i in range(UNROLLED_ALONG):
+                    column = wp.min(k + wp.static(i) * wide, columns - 1)
+                    numbers[wp.static(i)] = number(x, s, front, nodes[wp.static(i)], column)
+                for i in range(UNROLLED_ALONG):
+                    product = out.dtype(factors[wp.static(i)]) * numbers[wp.static(i)]
                     total += wp.where(k + wp.static(i) * wide < columns, product, out.dtype(0.0))
                 k += UNROLLED_ALONG * wide
         total = summed_along(total, lane, wide)
@@ -153,9 +174,18 @@ def _products(number: Any, key: str) -> tuple[dict[Any, wp.Kernel], ...]:
         total = out.dtype(0.0)
         if column < columns:
             while k < rows:
+                nodes = wp.vector(length=UNROLLED_DOWN, dtype=int)
+                factors = wp.vector(length=UNROLLED_DOWN, dtype=A.dtype)
+                numbers = wp.vector(length=UNROLLED_DOWN, dtype=out.dtype)
                 for i in range(UNROLLED_DOWN):
                     row = wp.min(k + wp.static(i) * parts, rows - 1)
-                    product = out.dtype(A[slot, front, row, column]) * number(x, at, s, front, row)
+                    nodes[wp.static(i)] = node(at, front, row)
+                    factors[wp.static(i)] = A[slot, front, row, column]
+                for i in range(UNROLLED_DOWN):
+                    row = wp.min(k + wp.static(i) * parts, rows - 1)
+                    numbers[wp.static(i)] = number(x, s, front, nodes[wp.static(i)], row)
+                for i in range(UNROLLED_DOWN):
+                    product = out.dtype(factors[wp.static(i)]) * numbers[wp.static(i)]
                     total += wp.where(k + wp.static(i) * parts < rows, product, out.dtype(0.0))
                 k += UNROLLED_DOWN * parts
         total = summed_down(total, thread)
@@ -169,5 +199,5 @@ def _products(number: Any, key: str) -> tuple[dict[Any, wp.Kernel], ...]:
     return tuple(in_precisions(kernel, ("A",), ("x", "start", "out")) for kernel in made)
 
 
-PRODUCTS = _products(number_of, "rows"), _products(number_at_nodes, "nodes")  # A x and A^T x
+PRODUCTS = _products(no_node, row_number, "rows"), _products(node_of, node_number, "nodes")  # A x and A^T x
 GATHERED = in_precisions(gathered, ("b", "below", "out"))
