@@ -157,25 +157,29 @@ def _kernels(size: int, lanes: int, number: Any, key: str, module: str) -> Elimi
         on the diagonal, into R (b, size, n). Before `at` A has the transformed unit matrix already."""
         b, tile, lane = wp.tid()
         block, columns = Block(), Block()
-        for i in range(size):
-            row = wp.static(i)
-            for c in range(each):
-                own = wp.static(c) * lanes + lane
-                j = tile * size + own
-                here, high, low = at + row, wp.min(at + wp.max(row, own), n - 1), wp.min(at + wp.min(row, own), n - 1)
-                value = wp.where(own == row, number(1.0), number(0.0))
-                block[row, wp.static(c)] = wp.where(wp.max(here, at + own) < n, A[b, high, low], value)
+        for c in range(each):
+            own = wp.static(c) * lanes + lane
+            j, k = tile * size + own, at + own
+            for i in range(size):
+                here = at + wp.static(i)
+                high, low = wp.min(wp.max(here, k), n - 1), wp.min(wp.min(here, k), n - 1)
+                block[wp.static(i), wp.static(c)] = A[b, high, low]
                 high, low = wp.min(wp.max(here, j), n - 1), wp.min(wp.min(here, j), n - 1)
-                value = wp.where(here < n and j < n, A[b, high, low], number(0.0))
-                unit = wp.where(j == here, number(1.0), number(0.0))
-                columns[row, wp.static(c)] = wp.where(j < at or j >= at + size, value, unit)
+                columns[wp.static(i), wp.static(c)] = A[b, high, low]
+            unit = (j - at) / size == 0 and j >= at  # the block's own columns are those of the unit matrix
+            for i in range(size):
+                here, one = at + wp.static(i), wp.where(own == wp.static(i), number(1.0), number(0.0))
+                block[wp.static(i), wp.static(c)] = wp.where(
+                    wp.max(here, k) < n, block[wp.static(i), wp.static(c)], one
+                )
+                value = wp.where(wp.max(here, j) < n, columns[wp.static(i), wp.static(c)], number(0.0))
+                columns[wp.static(i), wp.static(c)] = wp.where(unit, one, value)
         done = factored(block, columns)
-        for i in range(size):
-            row = wp.static(i)
-            for c in range(each):
-                j = tile * size + wp.static(c) * lanes + lane
-                if j < n and at + row < n:
-                    R[b, row, j] = done[row, wp.static(c)]
+        for c in range(each):
+            j = tile * size + wp.static(c) * lanes + lane
+            for i in range(size):
+                if wp.max(j, at + wp.static(i)) < n:
+                    R[b, wp.static(i), j] = done[wp.static(i), wp.static(c)]
         if tile == 0 and lane == 0:
             known, bad = int(0), int(done[size, 0])
             if at > 0:
@@ -190,27 +194,23 @@ def _kernels(size: int, lanes: int, number: Any, key: str, module: str) -> Elimi
         if tile > 0 and first >= top + size:
             return
         P, Q, left = Block(), Block(), Block()
-        for i in range(size):
-            row = wp.static(i)
-            for c in range(each):
-                column = wp.static(c) * lanes + lane
-                j = first + column
-                P[row, wp.static(c)] = R[b, row, wp.min(top + column, n - 1)]
-                Q[row, wp.static(c)] = R[b, row, wp.min(j, n - 1)]
-                value = A[b, wp.min(top + row, n - 1), wp.min(j, n - 1)]
-                left[row, wp.static(c)] = wp.where(j < at or j >= at + size, value, number(0.0))
-        if tile == 0:
-            left = Q
-        else:
-            left -= turned_product(P, Q, lane)
-        for i in range(size):
-            row = top + wp.static(i)
-            for c in range(each):
-                j = first + wp.static(c) * lanes + lane
-                if row < n and j <= row:
-                    A[b, row, j] = left[wp.static(i), wp.static(c)]
-                elif tile == 0 and row < n and j < n:
-                    A[b, row, j] = number(0.0)
+        for c in range(each):
+            column = wp.static(c) * lanes + lane
+            k, j = wp.min(top + column, n - 1), wp.min(first + column, n - 1)
+            for i in range(size):
+                P[wp.static(i), wp.static(c)] = R[b, wp.static(i), k]
+                Q[wp.static(i), wp.static(c)] = R[b, wp.static(i), j]
+                left[wp.static(i), wp.static(c)] = A[b, wp.min(top + wp.static(i), n - 1), j]
+        if tile > 0:
+            if first >= at and first < at + size:
+                left = Block()
+            Q = left - turned_product(P, Q, lane)
+        for c in range(each):
+            j = first + wp.static(c) * lanes + lane
+            for i in range(size):
+                row = top + wp.static(i)
+                if wp.max(row, wp.where(tile == 0, j, n - 1 + j - row)) < n:  # j <= row, or all j of the first tile
+                    A[b, row, j] = wp.where(j <= row, Q[wp.static(i), wp.static(c)], number(0.0))
 
     def pivot_rows(W: Rows, positive: wp.array(dtype=int), own: Longs, slots: Longs, first: int, at: int, n: int):
         """A step of Gauss-Jordan elimination by blocks: rows of W = [A | B] from `at` on times the inverse of their
@@ -220,23 +220,24 @@ def _kernels(size: int, lanes: int, number: Any, key: str, module: str) -> Elimi
         start, bad = wp.min(at + size, n) + size * tile, int(0)
         if at < rows and (start < rows or start + size > n or tile == 0):  # the first tells of the pivots
             block, columns = Block(), Block()
-            for i in range(size):
-                row = wp.static(i)
-                for c in range(each):
-                    k = wp.static(c) * lanes + lane
-                    here, j = wp.min(at + row, n - 1), start + k
-                    value = wp.where(k == row, number(1.0), number(0.0))
-                    there = at + row < n and at + k < n
-                    block[row, wp.static(c)] = wp.where(there, W[s, here, wp.min(at + k, n - 1)], value)
-                    columns[row, wp.static(c)] = W[s, here, wp.min(j, W.shape[2] - 1)]
+            for c in range(each):
+                k = wp.static(c) * lanes + lane
+                pivot, j = wp.min(at + k, n - 1), wp.min(start + k, W.shape[2] - 1)
+                for i in range(size):
+                    here = wp.min(at + wp.static(i), n - 1)
+                    block[wp.static(i), wp.static(c)] = W[s, here, pivot]
+                    columns[wp.static(i), wp.static(c)] = W[s, here, j]
+                for i in range(size):
+                    one = wp.where(k == wp.static(i), number(1.0), number(0.0))
+                    there = at + wp.max(k, wp.static(i)) < n
+                    block[wp.static(i), wp.static(c)] = wp.where(there, block[wp.static(i), wp.static(c)], one)
             done = eliminated(block, columns)
             bad = int(done[size, 0])
-            for i in range(size):
-                row = wp.static(i)
-                for c in range(each):
-                    j = start + wp.static(c) * lanes + lane
-                    if j < W.shape[2] and at + row < n:
-                        W[s, at + row, j] = done[row, wp.static(c)]
+            for c in range(each):
+                j = start + wp.static(c) * lanes + lane
+                for i in range(size):
+                    if wp.max(j - W.shape[2], at + wp.static(i) - n) < 0:
+                        W[s, at + wp.static(i), j] = done[wp.static(i), wp.static(c)]
         if tile == 0 and lane == 0:
             known = int(1)
             if at > 0:
@@ -250,19 +251,27 @@ def _kernels(size: int, lanes: int, number: Any, key: str, module: str) -> Elimi
         if top == at or top >= rows or at >= rows or (start >= rows and start + size <= n):
             return
         P, Q, left = Block(), Block(), Block()
-        for i in range(size):
-            row = wp.static(i)
-            for c in range(each):
-                column = wp.static(c) * lanes + lane
-                j, here = wp.min(start + column, W.shape[2] - 1), wp.min(top + row, n - 1)
-                P[row, wp.static(c)] = wp.where(at + column < n, W[s, here, wp.min(at + column, n - 1)], number(0.0))
-                Q[row, wp.static(c)] = wp.where(at + row < n, W[s, wp.min(at + row, n - 1), j], number(0.0))
-                left[row, wp.static(c)] = W[s, here, j]
+        for c in range(each):
+            column = wp.static(c) * lanes + lane
+            k, j = wp.min(at + column, n - 1), wp.min(start + column, W.shape[2] - 1)
+            for i in range(size):
+                here = wp.min(top + wp.static(i), n - 1)
+                P[wp.static(i), wp.static(c)] = W[s, here, k]
+                Q[wp.static(i), wp.static(c)] = W[s, wp.min(at + wp.static(i), n - 1), j]
+                left[wp.static(i), wp.static(c)] = W[s, here, j]
+            if at + size > n:
+                for i in range(size):
+                    P[wp.static(i), wp.static(c)] = wp.where(
+                        at + column < n, P[wp.static(i), wp.static(c)], number(0.0)
+                    )
+                    Q[wp.static(i), wp.static(c)] = wp.where(
+                        at + wp.static(i) < n, Q[wp.static(i), wp.static(c)], number(0.0)
+                    )
         left -= product(P, Q, lane)
-        for i in range(size):
-            for c in range(each):
-                j = start + wp.static(c) * lanes + lane
-                if top + wp.static(i) < n and j < W.shape[2]:
+        for c in range(each):
+            j = start + wp.static(c) * lanes + lane
+            for i in range(size):
+                if wp.max(j - W.shape[2], top + wp.static(i) - n) < 0:
                     W[s, top + wp.static(i), j] = left[wp.static(i), wp.static(c)]
 
     made = (
