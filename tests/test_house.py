@@ -267,7 +267,7 @@ def test_only_tensor_packages_need_pytorch_and_others_import_them_inside_functio
         for module, top in imports(path):
             if name == TENSORS_OF_BOTH and not top:
                 continue
-            if module.split(".")[0] in ("torch", "triton") and (not inside or name.endswith("__init__")):
+            if module.split(".")[0] == "torch" and (not inside or name.endswith("__init__")):
                 wrong.append(f"{name} imports {module}")
             if layer(module) in tensors and module.startswith("tacgen") and top and not inside:
                 wrong.append(f"{name} imports {module} at module level")

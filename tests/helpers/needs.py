@@ -6,7 +6,7 @@ import pytest
 
 # what the extras bring, by the names that are imported
 EXTRAS = ("dask_jobqueue", "distributed", "mkdocs", "mujoco", "numcodecs", "pyarrow", "pymeshlab", "rerun", "torch")
-EXTRAS += ("triton", "webdataset", "zarr")
+EXTRAS += ("webdataset", "zarr")
 # what tests alone use: a simulator, a measure of pictures, and others' readers of what is exported
 OTHERS = ("cv2", "datasets", "lerobot", "skimage", "vtk")
 
