@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from tacgen import batch, mechanics
 from tacgen.base.errors import UserError
 from tacgen.batch import cuda_engine, pipeline, solution_file
+from tacgen.batch.recorder import SceneWork
 from tacgen.bundle.bundle import read
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.problem import Problem
@@ -110,7 +111,8 @@ def test_known_frames_are_labelled_without_matrices(
     monkeypatch.setattr(Problem, "of", lambda *_: pytest.fail("set up to be solved"))
     problem = Problem.of_known_frames(scene, known.mesh, stress=elements)
     assert [len(part.elements.conn) > 0 for part in problem.elastic] == [elements] * len(known.elastic)
-    pipeline.run_scene(row, tmp_path / "known", solution=SolvedScene("an engine", states))
+    work = SceneWork(row, lambda event: None, SolvedScene("an engine", states))
+    pipeline.run_work(work, tmp_path / "known")
     solved, labelled = (read(tmp_path / folder / "scene-00000.h5") for folder in ("solved", "known"))
     assert labelled.attrs["solver"] == "an engine"
     assert solved.verify() == labelled.verify()
