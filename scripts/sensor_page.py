@@ -41,6 +41,7 @@ PLACES |= {
     "Walls": "`walls`",
     "Led": "`leds[i]`",
     "Camera": "`camera`",
+    "Glare": "`camera.glare`",
     "Noise": "`camera.noise`",
     "Drift": "`camera.drift`",
     "GridMarkers": "`markers`, layout `grid`",

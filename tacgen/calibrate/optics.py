@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import photometric_fit, scattering_fit
+from tacgen.calibrate import glare_fit, photometric_fit, scattering_fit
 from tacgen.calibrate import photos as reading
 from tacgen.calibrate.cross_validation import Fitted
 from tacgen.calibrate.photometric_model import FitLimits
@@ -102,7 +102,11 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     else:
         fitted = photometric_fit.fit(sensor, photos, folders, asked)
     said = _said(photos)
-    return Calibrated(path, sensor, changes_of(sensor, fitted, said, bare=asked.bare), said, photos.untouched, fitted)
+    changes = changes_of(sensor, fitted, said, bare=asked.bare)
+    if not any(layer.scattering for layer in sensor.gel.clear_layers) and (asked.bare or sensor.markers is None):
+        left = glare_fit.glare(photometric_fit.at_scale(sensor, fitted.sensor), photos.untouched)
+        changes["camera", "glare"] = left.model_dump(mode="json")
+    return Calibrated(path, sensor, changes, said, photos.untouched, fitted)
 
 
 def _said(photos: reading.Photos) -> str:

@@ -171,6 +171,7 @@ class Renderer:
         self.sheet = Sheet.over(sensor.gel, SHEET_SPACING_MM if method == "path" else effort.spacing)
         self._view = CameraView(sensor, self.sheet, markers, effort.samples)
         self.stray = camera_response.stray(sensor.camera) if any(sensor.camera.ambient) else None
+        self.glare = None if sensor.camera.glare is None else camera_response.glare(sensor.camera).astype(np.float32)
         pixel = sensor.camera.mm_per_px / effort.samples
         self.texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
         self.light: Light
@@ -203,7 +204,8 @@ class Renderer:
             response, (wide, tall) = self.sensor.thickness_response, self.sensor.camera.pixel_mm
             gain = self._view.picture(scattering.tabulated(response).at(change))
             made *= scattering.spread(gain, response.spread_mm / tall, response.spread_mm / wide)
-        return camera_response.blurred(made, self.sensor.camera).astype(np.float32)
+        seen = camera_response.blurred(made, self.sensor.camera).astype(np.float32)
+        return seen if self.glare is None else np.maximum(seen + self.glare, 0, dtype=np.float32)
 
     def _height(self, xy: "Floats") -> "Floats":
         face = self.untouched
