@@ -10,7 +10,7 @@ from tacgen.sensor.model import LitSensor
 
 GLARE_CELL_MM = 1.0  # side of a cell, about: wider than grain and dust, which move with the gel [mm]
 MIN_GLARE_CELLS, MAX_GLARE_CELLS = 2, 64  # along a side of the picture
-GLARE_SPP = 16  # samples a pixel
+GLARE_SPP = 64  # samples a pixel, as fits to gels that scatter have
 
 
 def glare(sensor: LitSensor, untouched: np.ndarray) -> Glare:

@@ -97,14 +97,15 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     sensor, tree = lit_sensor(path)
     photos = reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID_FILE_KEY): loading.solid_folder(tree)} if sensor.gel.solid else {}
-    if any(layer.scattering for layer in sensor.gel.clear_layers):
+    scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
+    if scatters:
         fitted = scattering_fit.fit(sensor, photos, folders)
     else:
         fitted = photometric_fit.fit(sensor, photos, folders, asked)
     said = _said(photos)
     changes = changes_of(sensor, fitted, said, bare=asked.bare)
-    if not any(layer.scattering for layer in sensor.gel.clear_layers) and (asked.bare or sensor.markers is None):
-        left = glare_fit.glare(photometric_fit.at_scale(sensor, fitted.sensor), photos.untouched)
+    if asked.bare or sensor.markers is None:  # dots would be in it
+        left = glare_fit.glare(fitted.sensor if scatters else photometric_fit.at_scale(sensor, fitted.sensor), photos.untouched)
         changes["camera", "glare"] = left.model_dump(mode="json")
     return Calibrated(path, sensor, changes, said, photos.untouched, fitted)
 

@@ -6,6 +6,7 @@ thickness (optics/scattering), traced once per sensor and cached. `PathTracer` i
 `table` is calibrated on `transport`.
 """
 
+from functools import cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
@@ -192,6 +193,25 @@ class Renderer:
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
+        seen = self._without_glare(surface)
+        if self.glare is None:
+            return seen
+        if self._scatters:
+            return seen * self._brighter
+        return np.maximum(seen + self.glare, 0, dtype=np.float32)
+
+    @cached_property
+    def _brighter(self) -> "NDArray[np.float32]":
+        """Factor (H, W, 3) of the glare on light that a gel scatters, all of which comes through the gel."""
+        level = self._without_glare(self.untouched)
+        assert self.glare is not None
+        return np.maximum(1 + self.glare / np.where(level > 0, level, np.float32(np.inf)), 0, dtype=np.float32)
+
+    @property
+    def _scatters(self) -> bool:
+        return any(layer.scattering for layer in self.sensor.gel.clear_layers)
+
+    def _without_glare(self, surface: Surface) -> "NDArray[np.float32]":
         at = self._view.look(surface)
         made = np.asarray(self.light.seen(at), dtype=np.float64)
         if self.stray is not None:
@@ -204,8 +224,7 @@ class Renderer:
             response, (wide, tall) = self.sensor.thickness_response, self.sensor.camera.pixel_mm
             gain = self._view.picture(scattering.tabulated(response).at(change))
             made *= scattering.spread(gain, response.spread_mm / tall, response.spread_mm / wide)
-        seen = camera_response.blurred(made, self.sensor.camera).astype(np.float32)
-        return seen if self.glare is None else np.maximum(seen + self.glare, 0, dtype=np.float32)
+        return camera_response.blurred(made, self.sensor.camera).astype(np.float32)
 
     def _height(self, xy: "Floats") -> "Floats":
         face = self.untouched

@@ -69,7 +69,8 @@ class Wear(Part):
 
 class Glare(Part):
     """Light that no touch changes, such as reflections in plate and housing, beyond what the model of light has; below
-    0 where that has too much. It is added to every picture, as a fraction of full scale.
+    0 where that has too much. It is added to every picture, as a fraction of full scale; in a gel that scatters it is as
+    much brighter or darker as the rest.
 
     The values stand for the middles of equal cells of the picture, in rows from its top; between them it is smooth.
     """

@@ -57,3 +57,13 @@ def test_is_found_in_an_untouched_picture() -> None:
 def test_rows_must_be_alike() -> None:
     with pytest.raises(UserError, match="as many rows in each colour"):
         Glare(**{**FLAT, "blue": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]})
+
+
+def test_is_dimmed_as_the_light_that_a_gel_scatters(monkeypatch: pytest.MonkeyPatch) -> None:
+    renderer = Renderer(lit(glare=FLAT), 16, 0, False)
+    plain = Renderer(lit(), 16, 0, False)
+    monkeypatch.setattr(Renderer, "_scatters", True)
+    face = BallDent(2.0, 1.2, (0.4, -0.3))
+    share = plain.image(face) / plain.flat()
+    assert renderer.image(face) == pytest.approx(renderer.flat() * share, rel=1e-5)
+    assert np.abs(renderer.flat() - plain.flat()).max() > 0.05
