@@ -1,4 +1,4 @@
-"""What a photograph of an untouched unit shows beyond the light of its sensor file, as the glare of its camera."""
+"""The glare of a camera from a photograph of an untouched unit: what it shows beyond the light of the sensor file."""
 
 import numpy as np
 

@@ -105,7 +105,9 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     said = _said(photos)
     changes = changes_of(sensor, fitted, said, bare=asked.bare)
     if asked.bare or sensor.markers is None:  # dots would be in it
-        left = glare_fit.glare(fitted.sensor if scatters else photometric_fit.at_scale(sensor, fitted.sensor), photos.untouched)
+        left = glare_fit.glare(
+            fitted.sensor if scatters else photometric_fit.at_scale(sensor, fitted.sensor), photos.untouched
+        )
         changes["camera", "glare"] = left.model_dump(mode="json")
     return Calibrated(path, sensor, changes, said, photos.untouched, fitted)
 

@@ -68,19 +68,15 @@ class Wear(Part):
 
 
 class Glare(Part):
-    """Light that no touch changes, such as reflections in plate and housing, beyond what the model of light has; below
-    0 where that has too much. It is added to every picture, as a fraction of full scale; in a gel that scatters it is as
-    much brighter or darker as the rest.
-
-    The values stand for the middles of equal cells of the picture, in rows from its top; between them it is smooth.
-    """
+    """Light of full scale 1 that is added to every picture, below 0 where the model has too much; in a gel that
+    scatters it changes with the rest. Values are those at the middles of equal cells; between them it is smooth."""
 
     red: Cells
-    """Rows of values."""
+    """Rows of cells from the top."""
     green: Cells
-    """As many rows as red."""
+    """The same for green."""
     blue: Cells
-    """As many rows as red."""
+    """The same for blue."""
     source: str = NO_SOURCE
 
     @model_validator(mode="after")

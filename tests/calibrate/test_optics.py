@@ -118,7 +118,7 @@ def test_what_lamps_do_not_explain_of_the_untouched_picture_is_glare(nominal: Pa
     assert np.sqrt(np.mean((renderer.develop(renderer.flat()).astype(float) - photo) ** 2)) < 1
     again = optics.optics(str(mine), tmp_path)  # its lamps need not explain the glare
     before, after = (np.array([led.radiance for led in made.fitted.sensor.leds]) for made in (found, again))
-    assert after == pytest.approx(before, rel=0.02, abs=0.05)
+    assert after == pytest.approx(before, rel=0.05, abs=0.05)
 
 
 @pytest.mark.slow

@@ -40,7 +40,9 @@ def test_is_smooth_between_the_middles_of_cells() -> None:
     seen = camera_response.expose(camera_response.glare(camera), camera)
     across = (np.arange(camera.width_px) + 0.5) / camera.width_px * 4 - 0.5
     middle = (across > 1) & (across < 2)
-    assert seen[:, middle, 1] == pytest.approx(np.broadcast_to(0.02 * across[middle], seen[:, middle, 1].shape), abs=2e-3)
+    assert seen[:, middle, 1] == pytest.approx(
+        np.broadcast_to(0.02 * across[middle], seen[:, middle, 1].shape), abs=2e-3
+    )
     assert np.ptp(seen, axis=0).max() < 1e-9
 
 

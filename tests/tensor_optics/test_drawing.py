@@ -33,9 +33,11 @@ SENSORS: dict[str, dict[str, Any]] = {
     "glossy with dots and grain, out of focus": {
         "coating": STAINED,
         "camera": {
-            **CAMERA, "blur_mm": 0.3, "colour_matrix": [[1, -0.2, -0.3], [0, 1, 0], [0, 0, 1]],
-            "glare": dict.fromkeys(("red", "green", "blue"), [[0.1, -0.2], [0.0, 0.1]]),
-        },  # fmt: skip
+            **CAMERA,
+            "blur_mm": 0.3,
+            "colour_matrix": [[1, -0.2, -0.3], [0, 1, 0], [0, 0, 1]],
+            "glare": {key: [[0.1, -0.2], [0.0, 0.1]] for key in ("red", "green", "blue")},
+        },
     },
 }
 
