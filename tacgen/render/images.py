@@ -197,15 +197,15 @@ class Renderer:
         if self.glare is None:
             return seen
         if self._scatters:
-            return seen * self._brighter
-        return np.maximum(seen + self.glare, 0, dtype=np.float32)
+            return np.asarray(seen * self._brighter, np.float32)
+        return np.asarray(np.maximum(seen + self.glare, 0), np.float32)
 
     @cached_property
     def _brighter(self) -> "NDArray[np.float32]":
         """Factor (H, W, 3) of the glare on light that a gel scatters, all of which comes through the gel."""
         level = self._without_glare(self.untouched)
         assert self.glare is not None
-        return np.maximum(1 + self.glare / np.where(level > 0, level, np.float32(np.inf)), 0, dtype=np.float32)
+        return np.asarray(np.maximum(1 + self.glare / np.where(level > 0, level, np.inf), 0), np.float32)
 
     @property
     def _scatters(self) -> bool:

@@ -26,7 +26,7 @@ def lit(**camera: Any) -> Any:
 def counts(made: Any, face: Any = None) -> np.ndarray:
     """Light of a picture, over full scale."""
     renderer = Renderer(made, 16, 0, False)
-    return camera_response.expose(renderer.image(face or renderer.untouched), made.camera)
+    return camera_response.expose(renderer.image(face or renderer.untouched).astype(float), made.camera)
 
 
 @pytest.mark.parametrize("face", [None, BallDent(2.0, 1.2, (0.4, -0.3))], ids=["untouched", "pressed"])
