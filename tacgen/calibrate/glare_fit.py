@@ -18,7 +18,9 @@ def glare(sensor: LitSensor, untouched: np.ndarray) -> Glare:
     about GLARE_CELL_MM."""
     camera = sensor.camera.model_copy(update={"glare": None})
     bare = Renderer(sensor.model_copy(update={"camera": camera}), GLARE_SPP, 0, markers=False)
-    beyond = camera_response.linear(untouched / 255.0, camera) - camera_response.expose(bare.flat().astype(float), camera)
+    beyond = camera_response.linear(untouched / 255.0, camera) - camera_response.expose(
+        bare.flat().astype(float), camera
+    )
     sides = camera.width_px * camera.pixel_mm[0], camera.height_px * camera.pixel_mm[1]
     columns, rows = (int(np.clip(round(side / GLARE_CELL_MM), MIN_GLARE_CELLS, MAX_GLARE_CELLS)) for side in sides)
     cells = np.clip(photograph.shrunk(beyond, columns, rows), -1.0, 1.0).round(3)

@@ -105,14 +105,15 @@ class Pictures:
 
     def developed(self, radiance: Array, frame: int | None = None) -> Array:
         """The 8-bit picture (H, W, 3) of a radiance; in a frame with the camera's drift, and with its noise, if the
-        recipe has noise. Of no frame it is the mean of UNTOUCHED_FRAMES with noise, the same in all scenes.
+        recipe has noise. Without a frame it is the mean of UNTOUCHED_FRAMES with noise, the same in all scenes, or the
+        recipe's photograph as it is.
 
         Noise and drift depend on the scene's seed and the frame's number alone, whatever process renders it.
         """
         if frame is not None:
             return self.renderer.develop(radiance, *self._disturbed(frame))
         camera = self.renderer.sensor.camera
-        if camera.noise is None or not self._settings.noise:
+        if camera.noise is None or not self._settings.noise or self._photo is not None:
             return self.renderer.develop(radiance)
         fainter = {"strength": camera.noise.strength / math.sqrt(UNTOUCHED_FRAMES)}
         camera = camera.model_copy(update={"noise": camera.noise.model_copy(update=fainter)})
