@@ -41,6 +41,7 @@ PLACES |= {
     "Walls": "`walls`",
     "Led": "`leds[i]`",
     "Camera": "`camera`",
+    "Glare": "`camera.glare`",
     "Noise": "`camera.noise`",
     "Drift": "`camera.drift`",
     "GridMarkers": "`markers`, layout `grid`",
@@ -76,10 +77,8 @@ def page() -> str:
 
 def row(key: str, info: dict[str, Any], required: bool) -> str:
     """A line of a part's table."""
-    default = (
-        "required" if required else "none" if info.get("default") in (None, "") else f"`{_plain(info['default'])}`"
-    )
-    return f"| `{key}` | {allowed(info)} | {default} | {_what(info)} |"
+    usual = "none" if info.get("default") in (None, "") else f"`{_plain(info['default'])}`"
+    return f"| `{key}` | {allowed(info)} | {'required' if required else usual} | {_what(info)} |"
 
 
 def allowed(info: dict[str, Any]) -> str:

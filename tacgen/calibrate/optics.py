@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from tacgen.base.errors import UserError
-from tacgen.calibrate import photometric_fit, scattering_fit
+from tacgen.calibrate import glare_fit, photometric_fit, scattering_fit
 from tacgen.calibrate import photos as reading
 from tacgen.calibrate.cross_validation import Fitted
 from tacgen.calibrate.photometric_model import FitLimits
@@ -97,12 +97,19 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     sensor, tree = lit_sensor(path)
     photos = reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID_FILE_KEY): loading.solid_folder(tree)} if sensor.gel.solid else {}
-    if any(layer.scattering for layer in sensor.gel.clear_layers):
+    scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
+    if scatters:
         fitted = scattering_fit.fit(sensor, photos, folders)
     else:
         fitted = photometric_fit.fit(sensor, photos, folders, asked)
     said = _said(photos)
-    return Calibrated(path, sensor, changes_of(sensor, fitted, said, bare=asked.bare), said, photos.untouched, fitted)
+    changes = changes_of(sensor, fitted, said, bare=asked.bare)
+    if asked.bare or sensor.markers is None:  # dots would be in it
+        left = glare_fit.glare(
+            fitted.sensor if scatters else photometric_fit.at_scale(sensor, fitted.sensor), photos.untouched
+        )
+        changes["camera", "glare"] = left.model_dump(mode="json")
+    return Calibrated(path, sensor, changes, said, photos.untouched, fitted)
 
 
 def _said(photos: reading.Photos) -> str:

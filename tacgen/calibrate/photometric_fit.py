@@ -28,7 +28,8 @@ SOFT_L1_COUNTS = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
 # change of half a range, and gain of the loss, below which no further table is made
 MIN_TABLE_CHANGE, MIN_TABLE_GAIN = 0.02, 2e-3
 DIFFERENCE_STEP = 0.02  # of half a range: step of the difference quotients
-UNTOUCHED_WEIGHT = 0.1  # weight of a pixel of the untouched picture where changes are what matters
+# weight of a pixel of the untouched picture where changes are what matters, or lamps do not explain it
+UNTOUCHED_WEIGHT = 0.1
 
 
 def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits: FitLimits) -> Fitted:
@@ -47,14 +48,15 @@ def fit_faces(
 
     `changes`: how presses change the picture is fitted and judged alone; the untouched picture counts UNTOUCHED_WEIGHT.
     """
-    fits = PhotometricFits(sensor, photos, faces, limits, UNTOUCHED_WEIGHT if changes else 1.0)
+    weight = UNTOUCHED_WEIGHT if changes or sensor.camera.glare is not None else 1.0
+    fits = PhotometricFits(sensor, photos, faces, limits, weight)
     if not (groups := folds(len(photos.presses))):
         return fits.whole(TOLERANCE_RIDGES[-1])
     counts, made = fits.judged(groups)
     best = int(np.argmin(counts[1:].mean(axis=1)))
     held_out = [k - 1 for group in groups for k in group]
     presses, seen = [photos.presses[k] for k in held_out], [faces[k] for k in held_out]
-    judging = [_at_scale(sensor, one) for one in made[best]]
+    judging = [at_scale(sensor, one) for one in made[best]]
     alike: tuple[Likeness, Likeness] | None = None
     if not changes and all(press.contact is not None for press in presses):
         after, done = [], 0
@@ -67,7 +69,7 @@ def fit_faces(
     return replace(fits.whole(TOLERANCE_RIDGES[best]), unseen=unseen)
 
 
-def _at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
+def at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
     """A sensor with the lights, the coating and the camera's fitted values of one at the fit's scale."""
     light = {key: getattr(fitted.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
     eye = sensor.camera.model_copy(update=light)

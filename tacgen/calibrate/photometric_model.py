@@ -112,6 +112,9 @@ class PhotometricModel:
         self._around = lru_cache(CACHED_LIGHTS * len(sensor.leds))(self._bounced)
         self._column = lru_cache(CACHED_LIGHTS * len(sensor.leds) * (1 + len(faces)))(self._lit)
         eye = self.sensor.camera
+        self._glare = None
+        if eye.glare is not None:
+            self._glare = camera_response.expose(camera_response.glare(eye), eye).reshape(-1, 3)
         self._sparse = max(1, round(np.sqrt(eye.width_px * eye.height_px / UNTOUCHED_PIXELS)))
         self._even, self._first_weight = self._grid(), untouched * self._sparse
         near = [self._near(press) for press in photos.presses]
@@ -253,6 +256,8 @@ class PhotometricModel:
             change, wanted = (self.columns(v, k) if k else untouched)[:, here[picture.counts]], picture.light[here]
             if k:
                 change, wanted = change - untouched[:, here[first.counts]], wanted - first.light[here]
+            elif self._glare is not None:
+                wanted = wanted - self._glare[here]
             slope = picture.slope[here]
             channels = [np.column_stack([change[c] * slope[:, c, None], wanted[:, c] * slope[:, c]]) for c in range(3)]
             out.append(np.concatenate(channels))

@@ -87,6 +87,20 @@ def stray(camera: "Camera") -> "Floats":
     return np.asarray(np.linalg.solve(colours(camera), camera.ambient) / camera.exposure)
 
 
+def glare(camera: "Camera") -> "Floats":
+    """Radiance (H, W, 3) that makes the camera's glare, by cubic splines through its values."""
+    from scipy.ndimage import map_coordinates
+
+    assert camera.glare is not None
+    height, width = camera.height_px, camera.width_px
+    values = [np.array(rows) for rows in (camera.glare.red, camera.glare.green, camera.glare.blue)]
+    rows, columns = values[0].shape
+    at = np.meshgrid(
+        (np.arange(height) + 0.5) / height * rows - 0.5, (np.arange(width) + 0.5) / width * columns - 0.5, indexing="ij"
+    )
+    return unexposed(np.stack([map_coordinates(one, at, mode="nearest") for one in values], axis=-1), camera)
+
+
 def expose(radiance: "Floats", camera: "Camera") -> "Floats":
     """Linear signal over full scale (H, W, 3) of a radiance image (H, W, 3)."""
     mixed = radiance if camera.colour_matrix is None else radiance @ colours(camera).T

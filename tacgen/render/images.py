@@ -6,6 +6,7 @@ thickness (optics/scattering), traced once per sensor and cached. `PathTracer` i
 `table` is calibrated on `transport`.
 """
 
+from functools import cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
@@ -171,6 +172,7 @@ class Renderer:
         self.sheet = Sheet.over(sensor.gel, SHEET_SPACING_MM if method == "path" else effort.spacing)
         self._view = CameraView(sensor, self.sheet, markers, effort.samples)
         self.stray = camera_response.stray(sensor.camera) if any(sensor.camera.ambient) else None
+        self.glare = None if sensor.camera.glare is None else camera_response.glare(sensor.camera).astype(np.float32)
         pixel = sensor.camera.mm_per_px / effort.samples
         self.texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
         self.light: Light
@@ -191,6 +193,25 @@ class Renderer:
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
+        seen = self._without_glare(surface)
+        if self.glare is None:
+            return seen
+        if self._scatters:
+            return np.asarray(seen * self._brighter, np.float32)
+        return np.asarray(np.maximum(seen + self.glare, 0), np.float32)
+
+    @cached_property
+    def _brighter(self) -> "NDArray[np.float32]":
+        """Factor (H, W, 3) of the glare on light that a gel scatters, all of which comes through the gel."""
+        level = self._without_glare(self.untouched)
+        assert self.glare is not None
+        return np.asarray(np.maximum(1 + self.glare / np.where(level > 0, level, np.inf), 0), np.float32)
+
+    @property
+    def _scatters(self) -> bool:
+        return any(layer.scattering for layer in self.sensor.gel.clear_layers)
+
+    def _without_glare(self, surface: Surface) -> "NDArray[np.float32]":
         at = self._view.look(surface)
         made = np.asarray(self.light.seen(at), dtype=np.float64)
         if self.stray is not None:

@@ -3,6 +3,7 @@
 A frame's pictures are a shot. With a GPU the first one that is asked for is drawn together with those after it.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -20,6 +21,9 @@ from tacgen.sensor.model import Camera, LitSensor
 Array = np.ndarray
 # pixels at most, beyond those of a frame, that are drawn at once; each takes 30 bytes
 MAX_BATCH_PIXELS = 64 * 320 * 240
+UNTOUCHED_FRAMES = (
+    16  # of which the untouched picture is the mean, as units are photographed: it shows no steps of counts
+)
 DRIFT_WAVES = 64  # of which a drift is the sum: its distribution is normal to within a few per cent
 
 
@@ -101,11 +105,20 @@ class Pictures:
 
     def developed(self, radiance: Array, frame: int | None = None) -> Array:
         """The 8-bit picture (H, W, 3) of a radiance; in a frame with the camera's drift, and with its noise, if the
-        recipe has noise.
+        recipe has noise. Without a frame it is the mean of UNTOUCHED_FRAMES with noise, the same in all scenes, or the
+        recipe's photograph as it is.
 
-        Both depend on the scene's seed and the frame's number alone, whatever process renders it.
+        Noise and drift depend on the scene's seed and the frame's number alone, whatever process renders it.
         """
-        return self.renderer.develop(radiance, *((None, None) if frame is None else self._disturbed(frame)))
+        if frame is not None:
+            return self.renderer.develop(radiance, *self._disturbed(frame))
+        camera = self.renderer.sensor.camera
+        if camera.noise is None or not self._settings.noise or self._photo is not None:
+            return self.renderer.develop(radiance)
+        fainter = {"strength": camera.noise.strength / math.sqrt(UNTOUCHED_FRAMES)}
+        camera = camera.model_copy(update={"noise": camera.noise.model_copy(update=fainter)})
+        random = np.random.default_rng(np.random.SeedSequence(NOISE_STREAM))
+        return self.renderer.compressed(camera_response.develop(radiance, camera, random))
 
     def over_photo(self, radiance: Array) -> Array:
         """Rendered radiance (H, W, 3) over the recipe's photograph, if it has one."""

@@ -22,7 +22,8 @@ def drawing(renderer: Renderer, device: str) -> "Drawing":
     from tacgen.tensor_optics.drawing import Drawing
 
     assert isinstance(renderer.light, Clear)
-    return Drawing(renderer.light.direct, renderer.light.glow, renderer.stray, renderer.texture, device)
+    light = renderer.light
+    return Drawing(light.direct, light.glow, renderer.stray, renderer.texture, device, renderer.glare)
 
 
 def taken(device: str) -> str:

@@ -43,6 +43,7 @@ LINEAR_CAMERA_FIELDS = {
     "colour_matrix",
     "response",
     "noise",
+    "glare",
     "drift",
     "jpeg_quality",
 }  # of the camera: what is laid over a picture's light

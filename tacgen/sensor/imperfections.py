@@ -1,9 +1,9 @@
-"""Imperfections in which units of one sensor type differ: grain, marks and wear of the coating, drift of the camera's
-colours. All are off unless a sensor file gives them."""
+"""Imperfections in which units of one sensor type differ: grain, marks and wear of the coating, glare, drift of the
+camera's colours. All are off unless a sensor file gives them."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tacgen.sensor.base_model import NO_SOURCE, Fraction, Part, Positive, Vec2
 
@@ -12,6 +12,10 @@ DRIFT_STREAM = 3  # as NOISE_STREAM
 Seed = Annotated[int, Field(ge=0, le=999_999)]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Contrast = Annotated[float, Field(ge=0, le=0.3)]
+Cells = Annotated[
+    tuple[Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(min_length=2, max_length=64)], ...],
+    Field(min_length=2, max_length=64),
+]
 Width = Annotated[float, Field(ge=0.005, le=5)]
 
 
@@ -61,6 +65,26 @@ class Wear(Part):
     center_mm: Vec2 = (0.0, 0.0)
     """Middle of the worn area at rest."""
     source: str = NO_SOURCE
+
+
+class Glare(Part):
+    """Light of full scale 1 that is added to every picture, below 0 where the model has too much; in a gel that
+    scatters it changes with the rest. Values are those at the middles of equal cells; between them it is smooth."""
+
+    red: Cells
+    """Rows of cells from the top."""
+    green: Cells
+    """The same for green."""
+    blue: Cells
+    """The same for blue."""
+    source: str = NO_SOURCE
+
+    @model_validator(mode="after")
+    def _grid(self) -> Self:
+        lengths = [[len(row) for row in rows] for rows in (self.red, self.green, self.blue)]
+        if len({length for each in lengths for length in each}) > 1 or len({len(each) for each in lengths}) > 1:
+            raise ValueError("must hold as many rows in each colour, all of one length")
+        return self
 
 
 class Drift(Part):

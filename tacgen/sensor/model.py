@@ -27,7 +27,7 @@ from tacgen.sensor.base_model import (
     Vec2,
     Vec3,
 )
-from tacgen.sensor.imperfections import Drift, Grain, Marks, Wear
+from tacgen.sensor.imperfections import Drift, Glare, Grain, Marks, Wear
 from tacgen.sensor.layers import Layer
 from tacgen.sensor.markers import Markers
 
@@ -245,6 +245,8 @@ class Camera(Part):
     """Linear radiance to sensor full scale."""
     ambient: Rgb = (0.0, 0.0, 0.0)
     """What even stray light adds to a bare coat on the axis, fraction of full scale."""
+    glare: Glare | None = None
+    """Light that no touch changes, by place in the picture; none if absent."""
     vignette_mm: Radii | None = None
     """r0 of the vignetting factor 1/(1+(r/r0)^2)^2 on the coating, of each channel."""
     colour_matrix: tuple[Vec3, Vec3, Vec3] | None = None

@@ -28,8 +28,12 @@ class Drawing:
     works: the same faces, the same bytes.
     """
 
-    def __init__(self, direct: Direct, glow: Glow, stray: "Array | None", texture: "Array | None", device: str) -> None:
-        """stray (3,): radiance of a coating without dots in the stray light; texture (h, w): the coating's pattern.
+    def __init__(
+        self, direct: Direct, glow: Glow, stray: "Array | None", texture: "Array | None", device: str,
+        glare: "Array | None" = None,
+    ) -> None:  # fmt: skip
+        """stray (3,): radiance of a coating without dots in the stray light; texture (h, w): the coating's pattern;
+        glare (H, W, 3): what is added to every picture.
 
         Raises:
             ValueError: more than one ray a pixel, or a sheet of a part of the pad.
@@ -62,6 +66,7 @@ class Drawing:
         pattern = (None, 0, 0) if texture is None else (double(texture.reshape(-1)), *texture.shape)
         self._coat = double(colours), counts, double(sizes), *pattern
         self._weights = on(device, weights(eye.blur_mm / eye.mm_per_px), SINGLE_TYPE) if eye.blur_mm else None
+        self._glare = None if glare is None else on(device, glare, SINGLE_TYPE)
         self._fall, self._grain = double(camera_response.exposed(eye).reshape(-1)), double(camera_response.grain(eye))
         least, counted = camera_response.steps(eye.response)
         self._response = (
@@ -85,7 +90,8 @@ class Drawing:
             *(each.reshape(-1) for each in faces.terrains), *self._sheet.shape, *map(float, self._sheet.size),
             self._toward, self._passed, *self._light, *self._glow, *self._coat, out,
         )  # fmt: skip
-        return self._blurred(out).reshape(frames, height, width, 3)
+        seen = self._blurred(out).reshape(frames, height, width, 3)
+        return seen if self._glare is None else (seen + self._glare).clamp_(min=0)
 
     def _blurred(self, pictures: Tensor) -> Tensor:
         """Pictures (F, H W, 3) averaged down and across."""

@@ -106,6 +106,21 @@ def test_a_background_alone_gives_powers_and_dots_are_left_out(tmp_path: Path) -
     assert blind.changes["markers",] is None
 
 
+def test_what_lamps_do_not_explain_of_the_untouched_picture_is_glare(nominal: Path, tmp_path: Path) -> None:
+    rising = {key: [[0.0, 0.02, 0.04, 0.06]] * 3 for key in ("red", "green", "blue")}
+    unit, mine = sensor(camera={**FINE, "glare": rising}, markers=None), tmp_path / "mine.yaml"
+    photo = images.Renderer(unit, 64, 0, False).develop(images.Renderer(unit, 64, 0, False).flat())
+    save(photo, tmp_path / "background.png")
+    found = optics.optics(str(nominal), tmp_path)
+    assert found.fitted.untouched > 3
+    found.write(mine, anyway=True)
+    renderer = images.Renderer(loading.read_sensor(mine)[0], 64, 0, False)  # type: ignore[arg-type]
+    assert np.sqrt(np.mean((renderer.develop(renderer.flat()).astype(float) - photo) ** 2)) < 1
+    again = optics.optics(str(mine), tmp_path)  # its lamps need not explain the glare
+    before, after = (np.array([led.radiance for led in made.fitted.sensor.leds]) for made in (found, again))
+    assert after == pytest.approx(before, rel=0.05, abs=0.05)
+
+
 @pytest.mark.slow
 def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))

@@ -38,3 +38,20 @@ def test_scenes_share_a_renderer_whose_pictures_do_not_depend_on_their_seed(
     assert (one.renderer is again.renderer) is shared
     assert (one.renderer is other.renderer) is shared
     assert (one.renderer.asked == other.renderer.asked) is shared
+
+
+def test_the_untouched_picture_is_the_mean_of_many_and_the_same_in_all_scenes() -> None:
+    noisy: Any = sensor(camera={"noise": {"shot": 1e-4, "read": 0.01, "source": "test"}}, markers=None)
+    face = Untouched.of(noisy.gel)
+
+    def made(seed: int, noise: bool) -> pictures.Pictures:
+        return pictures.Pictures(
+            pictures.PictureSettings(noisy, "transport", 16, seed, noise, None, frozenset({"rgb"})), face
+        )
+
+    one, other, clean = made(1, True), made(2, True), made(1, False)
+    mean, plain = one.developed(one.flat), clean.developed(clean.flat)
+    assert np.array_equal(mean, other.developed(other.flat))
+    assert np.array_equal(plain, clean.renderer.develop(clean.flat))
+    of_mean, of_frame = ((each.astype(float) - plain).std() for each in (mean, one.developed(one.flat, 0)))
+    assert of_mean == pytest.approx(of_frame / np.sqrt(pictures.UNTOUCHED_FRAMES), rel=0.15)

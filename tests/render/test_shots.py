@@ -58,8 +58,9 @@ def log(monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
     class Drawing:
         """The CPU's light for the nodes of faces."""
 
-        def __init__(self, direct: Any, glow: Any, stray: Any, texture: Any, device: str) -> None:
+        def __init__(self, direct: Any, glow: Any, stray: Any, texture: Any, device: str, glare: Any) -> None:
             assert texture is None
+            assert glare is None
             self.direct, self.glow, self.stray = direct, glow, stray
             log.append(f"drawing at {device}")
 

@@ -32,7 +32,12 @@ SENSORS: dict[str, dict[str, Any]] = {
     },
     "glossy with dots and grain, out of focus": {
         "coating": STAINED,
-        "camera": {**CAMERA, "blur_mm": 0.3, "colour_matrix": [[1, -0.2, -0.3], [0, 1, 0], [0, 0, 1]]},
+        "camera": {
+            **CAMERA,
+            "blur_mm": 0.3,
+            "colour_matrix": [[1, -0.2, -0.3], [0, 1, 0], [0, 0, 1]],
+            "glare": {key: [[0.1, -0.2], [0.0, 0.1]] for key in ("red", "green", "blue")},
+        },
     },
 }
 
@@ -44,7 +49,7 @@ def made(**changes: Any) -> tuple[Renderer, Drawing]:
     assert isinstance(renderer.light, Clear)
     renderer.light.direct.tolerance = EVERYWHERE
     parts = renderer.light.direct, renderer.light.glow, renderer.stray, renderer.texture
-    return renderer, Drawing(*parts, DEVICE)
+    return renderer, Drawing(*parts, DEVICE, renderer.glare)
 
 
 @pytest.mark.parametrize("changes", SENSORS.values(), ids=SENSORS)
