@@ -21,9 +21,8 @@ from tacgen.sensor.model import Camera, LitSensor
 Array = np.ndarray
 # pixels at most, beyond those of a frame, that are drawn at once; each takes 30 bytes
 MAX_BATCH_PIXELS = 64 * 320 * 240
-UNTOUCHED_FRAMES = (
-    16  # of which the untouched picture is the mean, as units are photographed: it shows no steps of counts
-)
+# frames whose mean the untouched picture is, as units are photographed: it shows no steps of counts
+UNTOUCHED_FRAMES = 16
 DRIFT_WAVES = 64  # of which a drift is the sum: its distribution is normal to within a few per cent
 
 
