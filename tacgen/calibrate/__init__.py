@@ -23,6 +23,9 @@ Fits
     material_fit            moduli and relaxation, with confidence intervals
     indentation_fit         thickness, moduli, zero and lag of a gauge, with confidence intervals
 
+Progress
+    steps                   what goes on, told to listeners; work on all cores
+
 Checks
     cross_validation        scores on presses that a fit has not seen
     render_comparison       rendered against photographed presses: contrast, error of normals

@@ -99,6 +99,7 @@ class Fitted:
     unseen: HeldOutPresses | None = None  # None: too few presses to hold any out
     ridge: float | None = None  # weight of the sensor file's values that suits unseen presses best
     determined: Mapping[str, float] = field(default_factory=dict)  # share of each parameter, see `determined`
+    interrupted: str = ""  # what Ctrl-C has left out
 
 
 def _gain(scores: Array) -> tuple[float, float]:
