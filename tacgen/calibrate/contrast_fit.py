@@ -1,114 +1,133 @@
 """Contrast of rendered pictures, fitted to forces: a factor on the lights, what it takes from them being stray light.
 
-Lights that are fitted to pictures of one press after the other leave open how strongly a slope changes the colours: what
-they cannot explain (glare, dirt, dimples) is read as noise, or as contrast. What a reader of rendered pictures would
-take for the force of the photographed presses tells it: depths and places are found with the colours by slope that
-rendered pictures of the presses have, times a factor, and the factor with the right forces is the contrast.
+Lights that are fitted to a few pictures leave the contrast open by a tenth or two: what they cannot explain (glare,
+dirt, dimples) counts as noise, or as contrast. The forces tell it. A network learns them from rendered pictures of
+presses alone, as users train theirs, and reads the photographs: with a wrong contrast all its forces are too small, or
+too large. The factor with the right ones is the contrast; each recording is judged by the factor of the others.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
-from tacgen.calibrate import indentation_fit, press_localisation, steps
+from tacgen.calibrate import steps
 from tacgen.calibrate.cross_validation import rgb
-from tacgen.calibrate.indentation_fit import GaugedPresses, IndentationFit
-from tacgen.calibrate.press_localisation import located
+from tacgen.calibrate.dent_tables import HERTZ_FORCE_POWER
+from tacgen.calibrate.indentation_fit import DentFace, GaugedPresses, IndentationFit
+from tacgen.calibrate.normal_net import NormalNet
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 CONTRAST_SPP = 16  # samples a pixel, of gels that scatter light
-TRIED_CONTRASTS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.12, 1.26, 1.42, 1.6)  # factors on the contrast of the lights
-CONTRAST_POINTS = 201  # factors between them at which errors are interpolated
-LOCATED_S = 0.1  # expected work of finding a press with given colours [s of a core]
+READER_PRESSES = 260  # rendered presses that the network learns from
+READER_COPIES, READER_NOISE_COUNTS = 4, 1.0  # copies of each, with noise of this standard deviation [counts]
+READER_CELLS = 20  # cells of the picture along each side that the network sees
+READER_DEPTH_RATIO = 1.3  # deepest rendered press over the deepest photographed one
+READER_UNIT_COUNTS = 10.0  # change of colour that is scaled to 1 at the input [counts]
+LEAST_CONTRAST, LARGEST_CONTRAST, CONTRASTS = 0.5, 2.0, 121  # tried factors on the contrast of the lights
+READER_S = 40.0  # expected work of the network [s of a core]
 
 
 @dataclass(frozen=True)
 class ContrastFit:
-    """A factor on the lights, and forces read with the colours of rendered pictures."""
+    """A factor on the lights, and the errors of forces [N] that a network reads which knows rendered pictures alone."""
 
     factor: float
-    error: float  # mean absolute error of the forces with this factor [N]
-    before: float  # the same with the lights as they were [N]
-    unseen: tuple[float, ...]  # of each recording with the factor of the others, if there are several [N]
-    bias: tuple[float, ...]  # mean of read less measured forces of the same [N]
+    error: float  # mean absolute error with this factor
+    before: float  # the same with the lights as they were
+    unseen: tuple[float, ...]  # of each recording with the factor of the others, if there are several
+    bias: tuple[float, ...]  # mean of read less measured forces of the same
 
     def __str__(self) -> str:
-        told = f"times {self.factor:.2f}: forces read by rendered colours are off by {self.error:.2f} N"
-        told += f" (before: {self.before:.2f} N"
+        told = f"a network that knows rendered pictures alone reads forces off by {self.error:.2f} N"
         if self.unseen:
-            each = ", ".join(f"{one:.2f}" for one in self.unseen)
-            told += f"; each recording by the factor of the others: {each} N"
-        return f"{told})"
+            each = ", ".join(f"{off:.2f} N (bias {bias:+.2f})" for off, bias in zip(self.unseen, self.bias, strict=True))
+            told += f", each recording with the contrast of the others {each}"
+        return f"contrast times {self.factor:.2f}: {told}; before {self.before:.2f} N"
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {"factor": self.factor, "mae_n": self.error, "before_n": self.before, "unseen_n": list(self.unseen),
+                "bias_n": list(self.bias)}  # fmt: skip
 
 
-def fit(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses) -> ContrastFit:
-    """The factor on a sensor's contrast with which forces read by its rendered pictures are least off."""
-    steps.expect(LOCATED_S * len(presses.pictures) * (len(TRIED_CONTRASTS) + 1))
-    steps.begin("colours by slope of rendered presses", LOCATED_S * len(presses.pictures))
-    colours = rendered_colours(sensor, fitted, presses)
-    forces = []
-    for factor in TRIED_CONTRASTS:
-        steps.begin(f"forces read with {factor:g} times the contrast", LOCATED_S * len(presses.pictures))
-        forces.append(_read(fitted, presses, [factor * one for one in colours]))
-    gauge, logs = presses.gauge, np.log(TRIED_CONTRASTS)
-    fine = np.linspace(logs[0], logs[-1], CONTRAST_POINTS)
-    off = np.array([np.interp(fine, logs, part) for part in np.array([gauge.aligned(f) for f in forces]).T])
-    off -= gauge.force[:, None]  # (presses, factors)
-    groups = np.unique(gauge.recording)
+def fit(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses, changes: list[Array]) -> ContrastFit:
+    """The factor on a sensor's contrast with which forces read from photographs are least off.
+
+    Args:
+        sensor: with the fitted thickness and lights.
+        changes: of the photographs against the untouched ones (H, W, 3) [counts].
+    """
+    steps.expect(READER_S)
+    net = _reader(sensor, fitted, presses)
+    gauge, tried = presses.gauge, np.geomspace(LEAST_CONTRAST, LARGEST_CONTRAST, CONTRASTS)
+    seen = np.array([_seen(change) for change in changes])
+    read = [net.normals(seen / factor)[:, 0] for factor in tried]  # lights so much stronger show the same change
+    forces = [fitted.zero.value + _force(one, presses) for one in read]
+    off = np.array([gauge.aligned(one) for one in forces]).T - gauge.force[:, None]  # (presses, factors)
+    groups, every = np.unique(gauge.recording), np.ones(len(off), bool)
 
     def best(where: Array) -> int:
         return int(np.argmin(np.abs(off[where]).mean(axis=0)))
 
-    k, one = best(np.ones(len(off), bool)), int(np.argmin(np.abs(fine)))
     apart = [(gauge.recording == g, best(gauge.recording != g)) for g in groups] if len(groups) > 1 else []
     unseen = tuple(float(np.abs(off[here, at]).mean()) for here, at in apart)
     bias = tuple(float(off[here, at].mean()) for here, at in apart)
-    errors = np.abs(off).mean(axis=0)
-    return ContrastFit(float(np.exp(fine[k])), float(errors[k]), float(errors[one]), unseen, bias)
+    errors, k = np.abs(off).mean(axis=0), best(every)
+    return ContrastFit(float(tried[k]), float(errors[k]), float(errors[CONTRASTS // 2]), unseen, bias)
 
 
-def rendered_colours(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses) -> list[Array]:
-    """Colours by slope of rendered pictures of the presses, with the solved presses of each thickness around the
-    gel's."""
-    camera, view, made = Renderer(sensor, CONTRAST_SPP, 0, markers=False), presses.view, []
-    flat = camera.develop(camera.flat())
-    for n, picture in enumerate(presses.pictures):
-        shown = camera.develop(camera.image(fitted.face(camera.untouched, presses, n)))
-        made.append(view.picture(shown, flat, picture.ball, picture.recording))
-    out = []
-    for dents, one in _around(fitted, presses):
-        tables = [view.columns(dents[p.ball], at, one.blur, False) for p, at in zip(made, one.at, strict=True)]
-        out.append(press_localisation.colours_of(tables, made, False))
-    return out
+def _force(read: Array, presses: GaugedPresses) -> Array:
+    """Forces (n,) [N] from the network's output (n,)."""
+    return np.asarray(np.maximum(read, 0.0) ** (1 / HERTZ_FORCE_POWER) * np.abs(presses.gauge.force).max())
 
 
-def _around(fitted: IndentationFit, presses: GaugedPresses) -> Sequence[tuple[dict, press_localisation.LocatedPresses]]:
-    pairs = list(zip(presses.dents, fitted.scan.located, strict=True))
-    return [pair for pair, _ in fitted.scan.around(pairs)]
+def _reader(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses) -> NormalNet:
+    """A network from rendered changes of colour to the force over the largest measured one, to HERTZ_FORCE_POWER."""
+    random, camera = np.random.default_rng(0), Renderer(sensor, CONTRAST_SPP, 0, markers=False)
+    flat, seen, roots = camera.develop(camera.flat()).astype(float), [], []
+    places = np.array([one.at for one in fitted.scan.located])[fitted.scan.below]
+    low, high = places[:, 1:].min(axis=0), places[:, 1:].max(axis=0)
+    room = presses.view.half / 4  # beyond the photographed places
+    most = float(np.abs(presses.gauge.force).max())
+    steps.begin("presses rendered for a network that reads forces", READER_S / 2)
+    for k in range(READER_PRESSES):
+        ball = presses.pictures[int(random.integers(len(presses.pictures)))].ball
+        around = fitted.scan.around([each[ball] for each in presses.dents])
+        depth = random.uniform(0.0, READER_DEPTH_RATIO * fitted.depth.max())
+        depth = float(np.clip(depth, 1e-3, min(dents.depth[-1] for dents, _ in around)))
+        x, y = random.uniform(low - room, high + room)
+        face = DentFace(camera.untouched, around, (depth, float(x), float(y)), 0.0)
+        seen.append(_seen(camera.develop(camera.image(face), random).astype(float) - flat))
+        force = sum(share * float(dents.force_at(np.array([depth]))[0]) ** HERTZ_FORCE_POWER for dents, share in around)
+        roots.append(force * (fitted.modulus.value / most) ** HERTZ_FORCE_POWER)
+        if k % 20 == 0:
+            steps.go_on(f"{k} of {READER_PRESSES}")
+    steps.begin("a network that reads forces", READER_S / 2)
+    inputs = np.tile(np.array(seen), (READER_COPIES, 1))
+    inputs += random.normal(0, READER_NOISE_COUNTS / READER_UNIT_COUNTS, inputs.shape)
+    wanted = np.tile(np.array(roots), READER_COPIES)
+    return NormalNet.trained([(inputs, np.column_stack([wanted, np.zeros_like(wanted)]))])
 
 
-def _read(fitted: IndentationFit, presses: GaugedPresses, colours: Sequence[Array]) -> Array:
-    """Forces (n,) [N] of the presses found with these colours, for each thickness around the gel's."""
-    pairs, rooted = list(zip(presses.dents, fitted.scan.located, strict=True)), np.zeros(len(presses.pictures))
-    for ((dents, seen), share), own in zip(fitted.scan.around(pairs), colours, strict=True):
-        one = located(presses.view, presses.pictures, dents, seen.at, seen.blur, False, own)
-        rooted += share * indentation_fit.rooted_forces(one, presses.pictures, dents)
-    forces = fitted.modulus.value * rooted ** (1 / indentation_fit.HERTZ_FORCE_POWER)
-    return np.asarray(fitted.zero.value + forces)
+def _seen(change: Array) -> Array:
+    """The network's inputs from a change (H, W, 3) [counts]: means over READER_CELLS cells a side, smooth."""
+    sides = np.array(change.shape[:2]) / READER_CELLS
+    smooth = gaussian_filter(change, (*(sides / 2), 0))
+    rows, columns = ((np.arange(READER_CELLS) + 0.5) * side for side in sides)
+    return np.asarray(smooth[np.ix_(rows.astype(int), columns.astype(int))].ravel() / READER_UNIT_COUNTS)
 
 
 def scaled(sensor: LitSensor, factor: float) -> LitSensor:
     """The sensor with its lights times a factor, and stray light for what the untouched picture would lose in the
     mean, as far as there is any."""
     camera = Renderer(sensor, CONTRAST_SPP, 0, markers=False)
-    shown = camera.flat().astype(float).mean(axis=(0, 1))
-    stray = np.array(sensor.camera.ambient)
+    shown, stray = camera.flat().astype(float).mean(axis=(0, 1)), np.array(sensor.camera.ambient)
     left = np.maximum(stray + (1 - factor) * (shown - stray), 0.0)
-    leds = tuple(
-        led.model_copy(update={"radiance": rgb(factor * np.array(led.light)), "power": 1.0}) for led in sensor.leds
-    )
+    leds = tuple(led.model_copy(update={"radiance": rgb(factor * np.array(led.light)), "power": 1.0})
+                 for led in sensor.leds)  # fmt: skip
     eye = sensor.camera.model_copy(update={"ambient": rgb(left)})
     return sensor.model_copy(update={"leds": leds, "camera": eye})

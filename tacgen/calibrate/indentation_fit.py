@@ -263,7 +263,7 @@ def fit(scan: ThicknessScan, presses: GaugedPresses) -> IndentationFit:
 def _force_fit(scan: ThicknessScan, presses: GaugedPresses, at: float) -> tuple[tuple[Estimate, ...], Array]:
     """Estimates of modulus, zero and lags at thickness exp(at), and the fitted readings (n,) [N]."""
     gauge, each = presses.gauge, zip(scan.located, presses.dents, strict=True)
-    rooted = [rooted_forces(one, presses.pictures, dents) for one, dents in each]
+    rooted = [_rooted_forces(one, presses.pictures, dents) for one, dents in each]
     unit = np.asarray(scan.interpolated(rooted, at) ** (1 / HERTZ_FORCE_POWER))  # at the file's moduli
     most = float(np.abs(gauge.force).max())
     lags = [Unknown(f"lag {k}", 0.0, -MAX_GAUGE_LAG_S, MAX_GAUGE_LAG_S) for k in gauge.timed]
@@ -280,7 +280,7 @@ def _force_fit(scan: ThicknessScan, presses: GaugedPresses, at: float) -> tuple[
     return estimates, force(best)
 
 
-def rooted_forces(one: LocatedPresses, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> Array:
+def _rooted_forces(one: LocatedPresses, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> Array:
     """Forces (n,) [N] to the HERTZ_FORCE_POWER of presses located at one thickness, at the file's moduli."""
     forces = [float(dents[p.ball].force_at(d)) for p, d in zip(pictures, one.at[:, 0], strict=True)]
     return np.array(forces) ** HERTZ_FORCE_POWER
@@ -319,10 +319,10 @@ def predict(fitted: IndentationFit, presses: GaugedPresses) -> tuple[Array, Arra
     start, own, foreign = view.starts(pictures), np.zeros(len(pictures)), np.zeros(len(pictures))
     for (dents, seen), share in scan.around(list(zip(presses.dents, scan.located, strict=True))):
         one = located(view, pictures, dents, start, seen.blur, scan.rich, seen.colours)
-        foreign += share * rooted_forces(one, pictures, dents)
+        foreign += share * _rooted_forces(one, pictures, dents)
         if len(pictures) >= MIN_OWN_COLOUR_PICTURES:
             one = located(view, pictures, dents, one.at, seen.blur, scan.rich)
-        own += share * rooted_forces(one, pictures, dents)
+        own += share * _rooted_forces(one, pictures, dents)
     own, foreign = (fitted.modulus.value * rooted ** (1 / HERTZ_FORCE_POWER) for rooted in (own, foreign))
     return own, foreign
 

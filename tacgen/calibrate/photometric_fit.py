@@ -64,7 +64,7 @@ def fit_faces(
         kept = fits.whole(TOLERANCE_RIDGES[best])
         held_out = [k - 1 for group in groups for k in group]
         presses, seen = [photos.presses[k] for k in held_out], [faces[k] for k in held_out]
-        judging = [_at_scale(sensor, one) for one in made[best]]
+        judging = [at_scale(sensor, one) for one in made[best]]
         each = tuple(one for group, one in zip(groups, judging, strict=True) for _ in group)
         unseen = HeldOutPresses(tuple(presses), tuple(seen), each, counts[[0, best + 1]], None)
         if compared:
@@ -95,7 +95,7 @@ def _likeness(
     return Comparison(sensor).likeness(presses, faces, untouched)
 
 
-def _at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
+def at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
     """A sensor with the lights, the coating and the camera's fitted values of one at the fit's scale."""
     light = {key: getattr(fitted.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
     eye = sensor.camera.model_copy(update=light)

@@ -10,6 +10,7 @@ import numpy as np
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import (
+    contrast_fit,
     cross_validation,
     dent_family,
     indentation_fit,
@@ -19,6 +20,7 @@ from tacgen.calibrate import (
     steps,
 )
 from tacgen.calibrate import photos as reading
+from tacgen.calibrate.contrast_fit import ContrastFit
 from tacgen.calibrate.cross_validation import Fitted
 from tacgen.calibrate.dent_tables import with_thickness
 from tacgen.calibrate.indentation_fit import Gauge, GaugedPresses, HeldOutForces, IndentationFit
@@ -38,6 +40,7 @@ MIN_EXPLAINED_SHARE = 0.3  # least share of the pictures' changes that dents of 
 # contact radius that is solved, over the largest rough one; and its steps
 CONTACT_RADIUS_MARGIN, CONTACT_RADIUS_RATIO = 1.2, 1.25
 LIGHT_FIT_PRESSES = 6  # presses to which lights are fitted
+LIGHT_FIT_STEPS = 2  # Jacobians at most, for each ridge: lights may start where they look right by eye
 MIN_LIGHT_FIT_DEPTH = 0.4  # of the deepest press: least depth of those
 SCAN_S = 0.8  # expected work of finding a press at all thicknesses [s of a core]
 DEEPEST_SOLVED_SHARE = 0.999  # of the largest depth that is solved
@@ -73,6 +76,7 @@ class Unit(SensorFit):
     fitted: IndentationFit
     judged: tuple[HeldOutForces, ...]  # each of some held-out presses
     lights: Fitted | None
+    contrast: ContrastFit | None = None
     dents_error: float = 0.0  # largest relative error of solved forces by their interpolation
     note: str = ""  # what Ctrl-C has left out
 
@@ -113,6 +117,8 @@ class Unit(SensorFit):
             told = self.lights.unseen or "too few presses to hold any out"
             kept = "" if self.lit else ": NOT BETTER, the file's lights are kept (see tacgen calibrate optics)"
             yield f"pictures of presses not seen by the fit of the lights: {told}{kept}"
+        if self.contrast is not None:
+            yield str(self.contrast)
 
     def found(self) -> Iterator[str]:
         """Each number with its interval."""
@@ -155,6 +161,7 @@ class Unit(SensorFit):
             "unseen": [one.plain() for one in self.judged],
             "lights": None if self.lights is None else {"untouched": self.lights.untouched,
                                                         "before": self.lights.before, "used": self.lit},
+            "contrast": None if self.contrast is None else self.contrast.plain(),
             "changes": self.changed,
         }  # fmt: skip
 
@@ -163,6 +170,8 @@ class Unit(SensorFit):
         yield f"Fitted {UNIT_SOURCE} to {self.said}:"
         yield from (f"  {line}" for line in self.found())
         yield from self.unseen()
+        if self.contrast is not None:
+            yield str(self.contrast)
 
     def evidence(self) -> Evidence:
         """Forces, pictures, and forces of unseen presses against the mean of the seen ones."""
@@ -207,7 +216,7 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     if wrong := [*_too_deep(raw, photos, presses), *_undetermined(raw, table)]:
         no_dents = sensor_fit.no_dents(raw.scan.explained, drift)
         raise UserError(f"{table}: {no_dents}" if no_dents else wrong)
-    made = Unit(path, sensor, {}, photos, presses.gauge, drift, asked, raw, (), None, presses.error)
+    made = Unit(path, sensor, {}, photos, presses.gauge, drift, asked, raw, (), None, None, presses.error)
     try:
         steps.begin("the method's own error, from rendered presses", 2 * SCAN_S * len(photos.presses))
         made = replace(made, fitted=indentation_fit.corrected(raw, _at_thickness(sensor, raw, asked), presses))
@@ -215,7 +224,9 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
         made = replace(made, judged=_held_out(photos, presses))
         if asked.lights:
             now = _at_thickness(sensor, made.fitted, asked)
-            made = replace(made, lights=_lights(now, made.fitted, photos, presses, asked.limits))
+            lights = _lights(now, made.fitted, photos, presses, asked.limits)
+            made = replace(made, lights=lights)
+            made = replace(made, **_contrasted(made, now, lights, presses))
     except KeyboardInterrupt:
         left = "lights" if made.judged else "judgement and lights" if made.fitted is not raw else "all but a first fit"
         made = replace(made, note=f"{steps.INTERRUPTED}: without {left}")
@@ -288,6 +299,18 @@ def _lights(
             PhotographedPress(press.name, picture, press.ball, (right, down), contact, depth, aspect=camera.aspect)
         )
     return photometric_fit.fit_faces(sensor, Photos(photos.folder, first, tuple(shown)), faces, limits, changes=True)
+
+
+def _contrasted(made: Unit, now: LitSensor, lights: Fitted, presses: GaugedPresses) -> dict[str, Any]:
+    """The lights with the contrast that suits the forces, and that contrast; `now` has the fitted thickness.
+
+    Lights that are no better than the file's are not used, and their contrast is not fitted.
+    """
+    if not made.lit:
+        return {}
+    changes = [press.picture.astype(float) - press.untouched for press in made.photos.presses]
+    found = contrast_fit.fit(photometric_fit.at_scale(now, lights.sensor), made.fitted, presses, changes)
+    return {"lights": replace(lights, sensor=contrast_fit.scaled(lights.sensor, found.factor)), "contrast": found}
 
 
 def _undetermined(fitted: IndentationFit, table: Path) -> Iterator[str]:

@@ -98,8 +98,8 @@ def unit(
         bool, typer.Option("--keep-thickness", help="The gel is as thick as the sensor file says.")
     ] = False,
     no_lights: Annotated[bool, typer.Option("--no-lights", help="Do not fit the lights.")] = False,
-    tolerance_mm: Shift = 0.5,
-    tolerance_deg: Rotation = 5.0,
+    tolerance_mm: Shift = 2.0,
+    tolerance_deg: Rotation = 15.0,
     no_markers: NoMarkers = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw forces from pictures over measured ones.")] = None,
     anyway: Anyway = False,
@@ -112,7 +112,7 @@ def unit(
 
     inputs = [Path(sensor), images]
     allowed((out, plot), inputs, overwrite)
-    limits = FitLimits(tolerance_mm, tolerance_deg, no_markers)
+    limits = FitLimits(tolerance_mm, tolerance_deg, no_markers, fitting.LIGHT_FIT_STEPS)
     asked = fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits)
     with _progress():
         fitted = fitting.unit(sensor, images, asked)

@@ -9,7 +9,7 @@ from tacgen.base.errors import printable
 from tacgen.base.terminal import dropping
 from tacgen.report.sheet import duration
 
-MIN_LINE_INTERVAL_S = 2.0  # least time between two lines where there is no terminal [s]
+MIN_LINE_INTERVAL_S = 2.0  # least time between two lines, and before the first, where there is no terminal [s]
 MIN_SHARE_FOR_ESTIMATE = 0.05  # of the work, from which the time left is estimated
 
 
@@ -18,7 +18,7 @@ class StepProgress:
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self.stream = stream or sys.stderr
-        self.started, self.last_line = time.monotonic(), -MIN_LINE_INTERVAL_S
+        self.started = self.last_line = time.monotonic()
         self.bar: Any = None
         self.task: Any = None
 
