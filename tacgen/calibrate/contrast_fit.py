@@ -44,7 +44,9 @@ class ContrastFit:
     def __str__(self) -> str:
         told = f"a network that knows rendered pictures alone reads forces off by {self.error:.2f} N"
         if self.unseen:
-            each = ", ".join(f"{off:.2f} N (bias {bias:+.2f})" for off, bias in zip(self.unseen, self.bias, strict=True))
+            each = ", ".join(
+                f"{off:.2f} N (bias {bias:+.2f})" for off, bias in zip(self.unseen, self.bias, strict=True)
+            )
             told += f", each recording with the contrast of the others {each}"
         return f"contrast times {self.factor:.2f}: {told}; before {self.before:.2f} N"
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
 from tacgen.calibrate import dent_tables, steps
-from tacgen.calibrate.dent_tables import DENT_DEPTHS, DENT_RADII, Dents, with_thickness
+from tacgen.calibrate.dent_tables import DENT_RADII, Dents, with_thickness
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray

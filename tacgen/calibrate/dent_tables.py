@@ -107,9 +107,7 @@ def solved(
     largest = min(by_width, MAX_PRESS_DEPTH_RATIO * thick, by_ball)
     depths = np.geomspace(max(0.02 * largest, MIN_PRESS_DEPTH_RATIO * thick), largest, DENT_DEPTHS)
     scale, shape = _scaled_out(sensor.gel)
-    key = array_cache.digest(
-        [DENT_TABLE_VERSION, shape, ball, at, depths, friction, quality, DENT_DEPTHS, DENT_RADII]
-    )
+    key = array_cache.digest([DENT_TABLE_VERSION, shape, ball, at, depths, friction, quality, DENT_DEPTHS, DENT_RADII])
     found = array_cache.kept("dents", key, lambda: _solved(sensor, ball, at, depths, friction, quality, scale))
     depth, force, *rest = found
     return Dents(ball, sensor.gel.thickness_mm, depth, scale * force, *rest)

@@ -206,7 +206,7 @@ class PhotometricFits(PhotometricModel):
     def _derived(self, v: Array, seen: list[int]) -> tuple[dict[int, Array], list[dict[int, Array]]]:
         """Equations by picture, and for each free parameter their change by half its range."""
         free = self._free(seen)
-        here, slopes = self.rows(v, seen), []
+        here, slopes = self.rows(v, seen), list[dict[int, Array]]()
         for k, half in zip(free, self._half(free), strict=True):
             steps.go_on(f"derivative {len(slopes) + 1} of {len(free)}")
             step = DIFFERENCE_STEP * half * (-1 if v[k] + DIFFERENCE_STEP * half > self._most[k] else 1)

@@ -86,7 +86,8 @@ def on_workers(
             found.append(function(*part))
         return found
     begin(texts[0], 0.0)
-    jobs = [Job([(function, part)], 0) for part in parts]
+    rows: list[Any] = [(function, part) for part in parts]  # what a worker's task is called with
+    jobs = [Job(rows, k) for k in range(len(rows))]
     workers = [Worker("tacgen.calibrate.steps:run_part") for _ in range(count)]
     try:
         return _shared(workers, jobs, texts, seconds)

@@ -79,7 +79,8 @@ def test_presses_between_solved_thicknesses_are_interpolated_and_their_error_is_
         off = np.abs(made.force_at(true.depth) / true.force - 1).max()
         assert off < max(dent_family.error(known), 1e-4) < 0.05
         assert made.contact == pytest.approx(true.contact, rel=0.01)
-        assert made.face(0.5, np.linspace(0, 2, 50))[1] == pytest.approx(true.face(0.5, np.linspace(0, 2, 50))[1], abs=0.04)
+        r = np.linspace(0, 2, 50)
+        assert made.face(0.5, r)[1] == pytest.approx(true.face(0.5, r)[1], abs=0.04)
     again = dent_family.interpolated(known, known[1].thickness)
     assert again.force == pytest.approx(known[1].force, rel=1e-9)
 
@@ -93,9 +94,7 @@ def test_more_contrast_leaves_the_untouched_picture_as_bright() -> None:
 
 
 @pytest.mark.slow
-def test_ctrl_c_writes_the_fit_to_all_photographs_with_a_note(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_writes_the_fit_to_all_photographs_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
