@@ -32,7 +32,7 @@ class Calibrated(SensorFit):
 
     @property
     def interrupted(self) -> str:
-        """What Ctrl-C has left out of the fit."""
+        """Note on what Ctrl-C has left out of the fit."""
         return self.fitted.interrupted
 
     def lines(self) -> Iterator[str]:

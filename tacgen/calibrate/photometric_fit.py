@@ -52,7 +52,7 @@ def fit_faces(
     """
     groups = folds(len(photos.presses))
     compared = not changes and all(press.contact is not None for press in photos.presses)
-    searches = len(TOLERANCE_RIDGES) * (len(groups) + 1)
+    searches = len(TOLERANCE_RIDGES) * (len(groups) + 1) * limits.steps
     steps.expect(SLOPES_S + SEARCH_S * searches + COMPARISON_S * (1 + len(groups)) * compared)
     fits = PhotometricFits(sensor, photos, faces, limits, UNTOUCHED_WEIGHT if changes else 1.0)
     if not groups:

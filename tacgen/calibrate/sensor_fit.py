@@ -62,7 +62,7 @@ class SensorFit(ABC):
 
     @property
     def interrupted(self) -> str:
-        """What Ctrl-C has left out of the fit; empty if it is complete."""
+        """Note on what Ctrl-C has left out of the fit; empty if it is complete."""
         return ""
 
     @property

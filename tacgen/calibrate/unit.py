@@ -82,7 +82,7 @@ class Unit(SensorFit):
 
     @property
     def interrupted(self) -> str:
-        """What Ctrl-C has left out of the fit."""
+        """Note on what Ctrl-C has left out of the fit."""
         return self.note
 
     @property
