@@ -58,6 +58,7 @@ def fit_faces(
     if not groups:
         return fits.whole(TOLERANCE_RIDGES[-1])
     kept = fits.whole(TOLERANCE_RIDGES[0])
+    unseen: HeldOutPresses | None = None
     try:
         counts, made = fits.judged(groups)
         best = int(np.argmin(counts[1:].mean(axis=1)))
@@ -71,7 +72,8 @@ def fit_faces(
             sizes = [len(group) for group in groups]
             unseen = replace(unseen, likeness=_alike(sensor, judging, sizes, presses, seen, photos.untouched))
     except KeyboardInterrupt:
-        return replace(kept, interrupted=f"{steps.INTERRUPTED}: not judged by presses that the fit has not seen")
+        how = "not judged by" if unseen is None else "normals are not judged on"
+        return replace(kept, unseen=unseen, interrupted=f"{steps.INTERRUPTED}: {how} presses that the fit has not seen")
     return replace(kept, unseen=unseen)
 
 
