@@ -45,12 +45,12 @@ RECIPE = "many_units"
 FILES = dict(zip(MINIS, ("gelsight_mini", "gelsight_mini_second", "gelsight_mini_third"), strict=True))
 DENTS = 4  # of each drawn unit
 PARTS = 3  # into which a unit's presses are divided, to train on the others
-TRAINED = ("other units' population", "whole population", "own file", "own photographs, left out")
+TRAINED = ("other units' population", "own file", "own photographs, left out")
 NOTE = (
-    f"Mean error of the normals [deg], by a network trained on the units that {RECIPE} draws around the files"
-    " of the two other units; around all three; on the file that was fitted to the unit itself; and on two"
-    " thirds of the unit's own photographs. Plate, lobes and colour matrix of all files were found on the"
-    " first unit; contact circles of the dotted one were drawn by hand."
+    f"Mean error of the normals [deg], by a network trained on the units that {RECIPE} draws around the files of the"
+    " two other units; on the file that was fitted to the unit itself; and on two thirds of the unit's own photographs."
+    " Plate, lobes and colour matrix of all files were found on the first unit; contact circles of the dotted one were"
+    " drawn by hand."
 )
 
 WEDGE, FORCES = "gelsight_wedge", "forces.csv"
@@ -219,21 +219,18 @@ def left_out(presses: Sequence[Samples]) -> float:
 
 
 def population(say: Say) -> Table:
-    """Errors on each unit of networks trained without it, with it, and on it alone."""
+    """Errors on each unit of networks trained on the others' population, and on it alone."""
     rows, shipped = plan.load(assets.recipe_path(RECIPE)).rows, sensor_of(FILES["gelsight_mini"])
     real = {name: photographed(name, shipped) for name in FILES}
     most = max(deepest for _, _, deepest in real.values())
     dents = [(row.sensor.name, drawn(cast(LitSensor, row.sensor), DENTS, row.index, most)) for row in rows]
-    say(f"{len(rows)} units drawn")
     found: list[list[Cell]] = []
     for name, file in FILES.items():
         presses, flat, deepest = real[name]
         own = drawn(sensor_of(file), render_comparison.TRAINING_DENTS, 0, deepest)
         seen = [(unit, one) for unit, made in dents for one in made if one.steepest <= deepest]
-        others, every = [one for unit, one in seen if unit != file], [one for _, one in seen]
-        cells: list[Cell] = [name, len(presses), flat]
-        cells += [off(NormalNet.trained(seen), presses) for seen in (others, every, own)]
-        cells.append(left_out(presses))
+        nets = [NormalNet.trained(dents) for dents in ([one for unit, one in seen if unit != file], own)]
+        cells: list[Cell] = [name, len(presses), flat, *(off(net, presses) for net in nets), left_out(presses)]
         found.append(cells)
         say(f"{name}: {', '.join(f'{cell:.1f}' for cell in cells[2:] if isinstance(cell, float))}")
     heads = columns("unit", "presses", "flat: .1f", *(f"{what}: .1f" for what in TRAINED))

@@ -161,6 +161,9 @@ def _real(tables: Tables) -> Told:
             "error of real normals [deg]: flat / trained on rendered / the same on rendered presses / trained on real",
             _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.1f}" for head in heads if row[head] is not None)),
         )
+    for row in tables.get("A population on a unit that it has not seen", []):
+        told = " / ".join(f"{row[head]:.1f}" for head in list(row)[2:])
+        yield f"the same on {row['unit']}, left out: flat / population of the others / own file / trained on real", told
     for row in tables.get("Depth from grey", []):
         yield "profile of a real press, off by, of its peak", f"9DTact {row['profile off, of peak']:.1%}"
 

@@ -13,15 +13,20 @@ Measurements
 Solved presses (finite elements)
     solved_presses          face of the gel under a photographed ball
     dent_tables             force and face of a ball over the depth, for gels of several thicknesses
+    dent_family             the same for all thicknesses, interpolated between solved ones
     force_curves            force over the depth, and the table of measured forces
 
 Fits
     photometric_model       equations of pixels, linear in the LEDs' radiances, for a clear gel
     robust_least_squares    soft-l1 Gauss-Newton steps on these equations
     photometric_fit         lights, coating and camera of a sensor with a clear gel
+    contrast_fit            contrast of the lights, from forces that a network reads
     scattering_fit          lights and response to thickness of a gel that scatters
     material_fit            moduli and relaxation, with confidence intervals
     indentation_fit         thickness, moduli, zero and lag of a gauge, with confidence intervals
+
+Progress
+    steps                   what goes on, told to listeners; work on all cores
 
 Checks
     cross_validation        scores on presses that a fit has not seen

@@ -18,6 +18,7 @@ from tacgen.sensor.model import LitSensor
 Array = np.ndarray
 DRAWN, FIGURE_SPP = 6, 16  # presses in the figure; samples a pixel, of gels that scatter light
 MAX_LEAVE_ONE_OUT_PRESSES = 5  # up to so many presses each is left out once
+SCORE_SCATTER_DEG = 0.1  # scatter of the difference of two files' errors of normals, over seeds [deg]
 HOLD_OUT_INTERVAL = 3  # of more, every third is held out
 
 
@@ -49,11 +50,12 @@ class HeldOutPresses:
 
     @property
     def better(self) -> bool:
-        """Whether the fit helps: the mean gain exceeds its standard error, of normals where they are known, else of
-        counts, and the counts do not rise by more than theirs."""
+        """Whether the fit helps: the mean gain exceeds its standard error, of normals where they are known, together
+        with what two networks differ by, else of counts, and the counts do not rise by more than theirs."""
         gain, error = _gain(self.counts if self.degrees is None else self.degrees)
         counts, scatter = _gain(self.counts)
-        return bool(gain > error and counts >= -scatter)
+        alone = 0.0 if self.degrees is None else SCORE_SCATTER_DEG
+        return bool(gain > np.hypot(error, alone) and counts >= -scatter)
 
     def __str__(self) -> str:
         parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]
@@ -99,6 +101,7 @@ class Fitted:
     unseen: HeldOutPresses | None = None  # None: too few presses to hold any out
     ridge: float | None = None  # weight of the sensor file's values that suits unseen presses best
     determined: Mapping[str, float] = field(default_factory=dict)  # share of each parameter, see `determined`
+    interrupted: str = ""  # what Ctrl-C has left out
 
 
 def _gain(scores: Array) -> tuple[float, float]:

@@ -13,14 +13,15 @@ from scipy.ndimage import gaussian_filter1d
 from tacgen import mechanics
 from tacgen.base import array_cache
 from tacgen.base.errors import UserError
-from tacgen.calibrate import solved_presses
+from tacgen.calibrate import solved_presses, steps
+from tacgen.calibrate.sensor_fit import moduli
 from tacgen.calibrate.solved_presses import MAX_PRESS_DEPTH_RATIO, MIN_PRESS_DEPTH_RATIO
 from tacgen.optics.surface_grid import Untouched
 from tacgen.outputs import gel_surface
-from tacgen.sensor.model import LitSensor
+from tacgen.sensor.model import Gel, LitSensor
 
 Array = np.ndarray
-DENT_TABLE_VERSION = 1  # of this table, in the key of the cache
+DENT_TABLE_VERSION = 2  # of this table, in the key of the cache
 DENT_DEPTHS = 9  # depths at which each thickness is solved
 DENT_RAYS = 16  # rays around the contact, along which the face is averaged
 # radii over sqrt(ball radius x depth)
@@ -105,25 +106,34 @@ def solved(
     by_width, by_ball = MAX_DENT_DEPTH_BY_WIDTH * widest**2 / ball, MAX_DEPTH_PER_BALL_RADIUS * ball
     largest = min(by_width, MAX_PRESS_DEPTH_RATIO * thick, by_ball)
     depths = np.geomspace(max(0.02 * largest, MIN_PRESS_DEPTH_RATIO * thick), largest, DENT_DEPTHS)
-    key = array_cache.digest(
-        [DENT_TABLE_VERSION, sensor.gel.model_dump_json(), ball, at, depths, friction, quality, DENT_DEPTHS, DENT_RADII]
-    )
-    found = array_cache.kept("dents", key, lambda: _solved(sensor, ball, at, depths, friction, quality))
-    return Dents(ball, sensor.gel.thickness_mm, *found)
+    scale, shape = _scaled_out(sensor.gel)
+    key = array_cache.digest([DENT_TABLE_VERSION, shape, ball, at, depths, friction, quality, DENT_DEPTHS, DENT_RADII])
+    found = array_cache.kept("dents", key, lambda: _solved(sensor, ball, at, depths, friction, quality, scale))
+    depth, force, *rest = found
+    return Dents(ball, sensor.gel.thickness_mm, depth, scale * force, *rest)
+
+
+def _scaled_out(gel: Gel) -> tuple[float, str]:
+    """The first modulus of a gel [MPa], to which its forces are proportional, and all else that they depend on."""
+    scale = next(getattr(layer, key) for layer in gel.layers for key in moduli(layer))
+    layers = [{**layer.model_dump(mode="json", exclude={"source"}),
+               **{key: float(f"{getattr(layer, key) / scale:.6g}") for key in moduli(layer)}}
+              for layer in gel.layers]  # fmt: skip
+    return scale, f"{gel.model_dump_json(exclude={'layers', 'source'})} {layers}"
 
 
 def _solved(
-    sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str
+    sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str, scale: float
 ) -> tuple[Array, ...]:
-    """The arrays of Dents."""
+    """The arrays of Dents, with forces over `scale`."""
     aims = [{"depth_mm": float(depth)} for depth in depths]
     problem, states = solved_presses.solved_states(solved_presses.press_row(sensor, ball, at, aims, quality, friction))
     untouched, found = gel_surface.seen(problem.mesh, len(sensor.gel.clear_layers)), []
     try:
         for state, depth in zip(states, depths, strict=False):
             around = _profile(untouched.pressed(problem, state), Untouched.of(sensor.gel), at, ball, float(depth))
-            contact = np.sqrt(problem.contact.faces.areas[state.normal_force > 0].sum() / np.pi)  # of a circle
-            found.append((mechanics.normal_force(state), *around, contact))
+            found.append((mechanics.normal_force(state), *around, solved_presses.contact_radius(problem, state)))
+            steps.go_on(f"{len(found)} of {DENT_DEPTHS} depths")
     except mechanics.NotConverged as error:
         if len(found) < DENT_DEPTHS - 2:
             raise UserError(
@@ -131,7 +141,7 @@ def _solved(
                 f" {sensor.gel.thickness_mm:.3g} mm: cannot be solved: {error}"
             ) from None
     force, drop, slope, contact = (np.array(part) for part in zip(*found, strict=True))
-    return depths[: len(found)], force, drop, slope, contact
+    return depths[: len(found)], force / scale, drop, slope, contact
 
 
 def _profile(

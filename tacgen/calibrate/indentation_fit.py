@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import isotonic_regression
 from scipy.stats import t as student
 
-from tacgen.calibrate import press_localisation
+from tacgen.calibrate import press_localisation, steps
 from tacgen.calibrate.dent_tables import HERTZ_FORCE_POWER, Dents
 from tacgen.calibrate.material_fit import (
     CONFIDENCE_LEVEL,
@@ -105,6 +105,7 @@ class GaugedPresses:
     pictures: Sequence[PressPicture]
     gauge: Gauge
     dents: Sequence[Mapping[float, Dents]]  # for each tried thickness, in rising order, by the ball's radius [mm]
+    error: float = 0.0  # largest relative error of the dents' forces by their interpolation
 
     def part(self, where: Array) -> "GaugedPresses":
         """The presses at which `where` (n,) is true."""
@@ -164,6 +165,7 @@ def thickness_scan(presses: GaugedPresses, *, rich: bool | None = None) -> Thick
         rich = press_localisation.colours_vary(view, pictures, dents[len(dents) // 2])
     found: list[LocatedPresses] = []
     for each in dents:
+        steps.go_on(f"thickness {len(found) + 1} of {len(dents)}")
         near = found[-1] if found else None
         found.append(press_localisation.located_with_best_blur(view, pictures, each, rich, near))
     thickness = np.array([next(iter(each.values())).thickness for each in dents])

@@ -30,15 +30,23 @@ class Calibrated(SensorFit):
     untouched: np.ndarray  # photograph (H, W, 3), 8 bit
     fitted: Fitted
 
+    @property
+    def interrupted(self) -> str:
+        """Note on what Ctrl-C has left out of the fit."""
+        return self.fitted.interrupted
+
     def lines(self) -> Iterator[str]:
         """Report in text."""
         yield f"{self.sensor.name}: fitted to {self.photographs}"
         fitted = self.fitted
+        if fitted.interrupted:
+            yield fitted.interrupted
         yield f"untouched: off by {fitted.untouched:.1f} counts rms (before the fit: {fitted.before:.1f})"
         if fitted.presses is not None:
             yield f"change under the presses: off by {fitted.presses:.1f} counts rms"
         if (unseen := fitted.unseen) is None:
-            yield "not judged: fewer than two presses, so none can be left out of a fit"
+            if not fitted.interrupted:
+                yield "not judged: fewer than two presses, so none can be left out of a fit"
         else:
             yield f"presses not seen by the fit: {unseen}: {'better' if unseen.better else 'NOT BETTER'}"
             for k, press in enumerate(unseen.presses):
@@ -68,6 +76,8 @@ class Calibrated(SensorFit):
     def evidence(self) -> Evidence:
         """The judgement by unseen presses."""
         unseen = self.fitted.unseen
+        if unseen is None and self.interrupted:
+            return Evidence()
         if unseen is None:
             return Evidence(unseen="the fit is not judged: it takes two presses at least")
         return Evidence(
@@ -122,6 +132,7 @@ def changes_of(sensor: LitSensor, fitted: Fitted, said: str, *, bare: bool) -> d
     """Changed values of the sensor file by path; None for keys to remove."""
     now, by = fitted.sensor, f"fitted to {said} {OPTICS_SOURCE}"
     by += f"; on unseen presses {fitted.unseen}" if fitted.unseen else "; not judged by unseen presses"
+    by += ", interrupted" if fitted.interrupted else ""
     out: dict[KeyPath, Any] = {}
     for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):
         out["leds", k, "radiance"] = digits(new.radiance)

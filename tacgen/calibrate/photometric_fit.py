@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.calibrate import contact_circle, robust_least_squares, solved_presses
+from tacgen.calibrate import contact_circle, robust_least_squares, solved_presses, steps
 from tacgen.calibrate.cross_validation import Fitted, HeldOutPresses, determined, folds, rms
 from tacgen.calibrate.photometric_model import FitLimits, PhotometricModel
-from tacgen.calibrate.photos import Photos
+from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.render_comparison import Comparison, Likeness
 from tacgen.calibrate.robust_least_squares import LinearModel, Ridge
 from tacgen.optics.surface_grid import Surface
@@ -28,6 +28,8 @@ SOFT_L1_COUNTS = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
 # change of half a range, and gain of the loss, below which no further table is made
 MIN_TABLE_CHANGE, MIN_TABLE_GAIN = 0.02, 2e-3
 DIFFERENCE_STEP = 0.02  # of half a range: step of the difference quotients
+# expected work of a fit [s of a core]: derivatives at the file's parameters, a search, a network
+SLOPES_S, SEARCH_S, COMPARISON_S = 2.0, 2.5, 12.0
 # weight of a pixel of the untouched picture where changes are what matters, or lamps do not explain it
 UNTOUCHED_WEIGHT = 0.1
 
@@ -38,7 +40,8 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits:
     if sensor.gel.dome is None:  # on a dome the rim is hidden by the change of shadows
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
-    return fit_faces(sensor, photos, [solved_presses.face(sensor, press, folders) for press in photos.presses], limits)
+    presses, faces = solved_presses.faced(sensor, photos.presses, folders)
+    return fit_faces(sensor, replace(photos, presses=presses), faces, limits)
 
 
 def fit_faces(
@@ -48,25 +51,52 @@ def fit_faces(
 
     `changes`: how presses change the picture is fitted and judged alone; the untouched picture counts UNTOUCHED_WEIGHT.
     """
+    groups = folds(len(photos.presses))
+    compared = not changes and all(press.contact is not None for press in photos.presses)
+    searches = len(TOLERANCE_RIDGES) * (len(groups) + 1) * limits.steps
+    steps.expect(SLOPES_S + SEARCH_S * searches + COMPARISON_S * (1 + len(groups)) * compared)
     weight = UNTOUCHED_WEIGHT if changes or sensor.camera.glare is not None else 1.0
     fits = PhotometricFits(sensor, photos, faces, limits, weight)
-    if not (groups := folds(len(photos.presses))):
+    if not groups:
         return fits.whole(TOLERANCE_RIDGES[-1])
-    counts, made = fits.judged(groups)
-    best = int(np.argmin(counts[1:].mean(axis=1)))
-    held_out = [k - 1 for group in groups for k in group]
-    presses, seen = [photos.presses[k] for k in held_out], [faces[k] for k in held_out]
-    judging = [at_scale(sensor, one) for one in made[best]]
-    alike: tuple[Likeness, Likeness] | None = None
-    if not changes and all(press.contact is not None for press in presses):
-        after, done = [], 0
-        for group, one in zip(groups, judging, strict=True):
-            part = slice(done, done := done + len(group))
-            after.append(Comparison(one).likeness(presses[part], seen[part], photos.untouched))
-        alike = Comparison(sensor).likeness(presses, seen, photos.untouched), Likeness.over(after)
-    each = tuple(one for group, one in zip(groups, judging, strict=True) for _ in group)
-    unseen = HeldOutPresses(tuple(presses), tuple(seen), each, counts[[0, best + 1]], alike)
-    return replace(fits.whole(TOLERANCE_RIDGES[best]), unseen=unseen)
+    kept = fits.whole(TOLERANCE_RIDGES[0])
+    unseen: HeldOutPresses | None = None
+    try:
+        counts, made = fits.judged(groups)
+        best = int(np.argmin(counts[1:].mean(axis=1)))
+        kept = fits.whole(TOLERANCE_RIDGES[best])
+        held_out = [k - 1 for group in groups for k in group]
+        presses, seen = [photos.presses[k] for k in held_out], [faces[k] for k in held_out]
+        judging = [at_scale(sensor, one) for one in made[best]]
+        each = tuple(one for group, one in zip(groups, judging, strict=True) for _ in group)
+        unseen = HeldOutPresses(tuple(presses), tuple(seen), each, counts[[0, best + 1]], None)
+        if compared:
+            sizes = [len(group) for group in groups]
+            unseen = replace(unseen, likeness=_alike(sensor, judging, sizes, presses, seen, photos.untouched))
+    except KeyboardInterrupt:
+        how = "not judged by" if unseen is None else "normals are not judged on"
+        return replace(kept, unseen=unseen, interrupted=f"{steps.INTERRUPTED}: {how} presses that the fit has not seen")
+    return replace(kept, unseen=unseen)
+
+
+def _alike(
+    sensor: LitSensor, fitted: Sequence[LitSensor], sizes: Sequence[int], presses: Sequence[PhotographedPress],
+    faces: Sequence[Surface], untouched: Array,
+) -> tuple[Likeness, Likeness]:  # fmt: skip
+    """Likeness of the sensor to presses, and of each fit to its group of them, of `sizes`, together."""
+    ends = np.cumsum(sizes).tolist()
+    parts = [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
+    jobs = [(sensor, presses, faces, untouched)]
+    jobs += [(one, presses[part], faces[part], untouched) for one, part in zip(fitted, parts, strict=True)]
+    texts = [f"network {k} of {len(jobs)} that judges by normals" for k in range(1, len(jobs) + 1)]
+    before, *after = steps.on_workers(_likeness, jobs, texts, COMPARISON_S)
+    return before, Likeness.over(after)
+
+
+def _likeness(
+    sensor: LitSensor, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array
+) -> Likeness:
+    return Comparison(sensor).likeness(presses, faces, untouched)
 
 
 def at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
@@ -81,9 +111,8 @@ class PhotometricFits(PhotometricModel):
 
     def whole(self, ridge: float) -> Fitted:
         """The fit to all pictures, made as those are that judge it."""
-        every, begin = list(range(len(self.pictures))), self._start
-        for hold in TOLERANCE_RIDGES[: TOLERANCE_RIDGES.index(ridge) + 1]:
-            begin, lights = self._search(begin, every, hold)
+        every = list(range(len(self.pictures)))
+        begin, lights = self._chain(TOLERANCE_RIDGES.index(ridge))
         misfits = self._misfits(begin, lights, every)
         shown = self._misfits(self._start, self.own, [0])
         return Fitted(
@@ -91,16 +120,30 @@ class PhotometricFits(PhotometricModel):
             ridge=ridge, determined=self._determined(begin, lights, every, ridge),
         )  # fmt: skip
 
+    def _chain(self, number: int) -> tuple[Array, Array]:
+        """The search of all pictures with one of TOLERANCE_RIDGES, from what the stiffer ones before it have found."""
+        while len(self._found) <= number:
+            v, _ = self._found[-1] if self._found else (self._start, None)
+            ridge = TOLERANCE_RIDGES[len(self._found)]
+            steps.begin(f"fit to all photographs, ridge {ridge:g}", SEARCH_S + (0 if self._found else SLOPES_S))
+            self._found.append(self._search(v, list(range(len(self.pictures))), ridge))
+        return self._found[number]
+
+    @cached_property
+    def _found(self) -> list[tuple[Array, Array]]:
+        return []
+
     def judged(self, groups: list[list[int]]) -> tuple[Array, list[list[LitSensor]]]:
         """Misfit of presses that are not seen [counts], of the file and then of fits with each of TOLERANCE_RIDGES, (1
         + TOLERANCE_RIDGES, presses); and those fits by ridge, then by group."""
         counts: list[list[float]] = [[] for _ in range(1 + len(TOLERANCE_RIDGES))]
         made: list[list[LitSensor]] = [[] for _ in TOLERANCE_RIDGES]
-        for held_out in groups:
+        for number, held_out in enumerate(groups, 1):
             seen = [k for k in range(len(self.pictures)) if k not in held_out]
             v = self._start
             counts[0] += [rms([one]) for one in self._misfits(v, self.own, held_out)]
             for ridge, scores, fits in zip(TOLERANCE_RIDGES, counts[1:], made, strict=True):
+                steps.begin(f"fit {number} of {len(groups)} without some presses, ridge {ridge:g}", SEARCH_S)
                 v, lights = self._search(v, seen, ridge)
                 fits.append(self._sensor(v, lights))
                 scores += [rms([one]) for one in self._misfits(v, lights, held_out)]
@@ -167,8 +210,9 @@ class PhotometricFits(PhotometricModel):
     def _derived(self, v: Array, seen: list[int]) -> tuple[dict[int, Array], list[dict[int, Array]]]:
         """Equations by picture, and for each free parameter their change by half its range."""
         free = self._free(seen)
-        here, slopes = self.rows(v, seen), []
+        here, slopes = self.rows(v, seen), list[dict[int, Array]]()
         for k, half in zip(free, self._half(free), strict=True):
+            steps.go_on(f"derivative {len(slopes) + 1} of {len(free)}")
             step = DIFFERENCE_STEP * half * (-1 if v[k] + DIFFERENCE_STEP * half > self._most[k] else 1)
             moved = v.copy()
             moved[k] += step

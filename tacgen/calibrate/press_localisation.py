@@ -81,7 +81,7 @@ class PressView:
         self._origin, self._ray = camera.rays(np.column_stack([x, y]) + 0.5)
         self._face = Untouched.of(sensor.gel)
         self.level = self._hit(np.full(len(x), float(self._face.height(np.zeros((1, 2)))[0])))
-        self._half = np.abs(self.level).max(axis=0)
+        self.half = np.abs(self.level).max(axis=0)
 
     def _hit(self, z: Array) -> Array:
         """x and y (p, 2) [mm] of the pixels' rays at heights z (p,) [mm]."""
@@ -99,7 +99,7 @@ class PressView:
     def _smooth(self, change: Array, untouched: Array) -> float:
         """The part [counts^2] of a change (p, 3) that a quadratic offset over the picture explains together with a
         factor on the untouched picture (p, 3) that is linear there: lights that grow brighter or dimmer."""
-        x, y = (self.level / self._half).T
+        x, y = (self.level / self.half).T
         linear = np.column_stack([np.ones_like(x), x, y])
         offset, part = np.column_stack([linear, x**2, x * y, y**2]), 0.0
         for wanted, plain in zip(change.T, untouched.T, strict=True):
@@ -135,11 +135,11 @@ class PressView:
         s = (slope / np.maximum(away, 1e-9))[:, None] * (xy - at[1:])
         square, drop = np.column_stack([s**2, s[:, 0] * s[:, 1]]), drop[:, None]
         if rich:
-            (x, y), cube = (xy / self._half).T[..., None], np.column_stack([s**3, s**2 * s[:, ::-1]])
+            (x, y), cube = (xy / self.half).T[..., None], np.column_stack([s**3, s**2 * s[:, ::-1]])
             parts = [s, square, cube, drop, x * s, y * s, x**2 * s, x * y * s, y**2 * s, x * square, y * square,
                      x * drop, y * drop]  # fmt: skip
         else:
-            x, y = at[1:] / self._half
+            x, y = at[1:] / self.half
             parts = [s, square, (s**2).sum(axis=1, keepdims=True) * s, drop, x * s, y * s]
         table = np.column_stack(parts)
         return np.asarray(table - table.mean(axis=0))

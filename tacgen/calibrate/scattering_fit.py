@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import cross_validation as judging
-from tacgen.calibrate import solved_presses
+from tacgen.calibrate import solved_presses, steps
 from tacgen.calibrate.cross_validation import Fitted, HeldOutPresses, folds, rgb, rms
 from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.render_comparison import ChangeLikeness
@@ -38,6 +38,8 @@ GAIN_SPREADS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # tried spre
 PRESS_REACH_MM = 9.0  # distance from a press within which pixels are compared [mm]
 FIT_SPP = 64  # paths, as in render.Renderer
 GAIN_RIDGES = (1.0, 0.1, 0.01, 0.001)  # tried weights of the file's gain, over that of all pixels
+
+SOLVES_S, RENDERS_S = 12.0, 12.0  # expected work of a press at all depths [s of a core]
 
 
 class Sums(NamedTuple):
@@ -161,7 +163,10 @@ class Renders:
         linear = camera_response.linear(photos.untouched / 255.0, made.camera).reshape(-1, 3)
         depths = [[factor * (press.depth or 0.0) for factor in DEPTH_FACTORS] for press in photos.presses]
         each = zip(photos.presses, depths, strict=True)
-        faces = [solved_presses.solved(made, press, tried, folders) for press, tried in each]
+        texts = [f"{press.name}: solved at {len(DEPTH_FACTORS)} depths" for press in photos.presses]
+        steps.expect((SOLVES_S + RENDERS_S) * len(texts))
+        jobs = [(made, press, tried, folders) for press, tried in each]
+        faces = steps.on_workers(solved_presses.solved, jobs, texts, SOLVES_S)
         renderer, pairs = images.Renderer(made, FIT_SPP, 0, False), zip(photos.presses, faces, strict=True)
         seen = [_seen(made, renderer, photos, *pair) for pair in pairs]
         return cls(made, linear, gain, 0.0 if file is None else file.spread_mm, faces, seen)
@@ -249,6 +254,7 @@ def _seen(
     )
 
     def at(face: Surface) -> RenderedPress:
+        steps.begin(f"{press.name}: rendered", RENDERS_S / len(faces))
         seen = view.look(face)
         change = seen.position[:, 2] - renderer.untouched.at(seen.position[:, :2])[:, 2]
         own = (renderer.image(face).astype(float) / np.maximum(flat, 1e-12)).reshape(-1, 3)

@@ -61,6 +61,11 @@ class SensorFit(ABC):
         """Grounds on which the fit is judged."""
 
     @property
+    def interrupted(self) -> str:
+        """Note on what Ctrl-C has left out of the fit; empty if it is complete."""
+        return ""
+
+    @property
     def changed(self) -> dict[str, Any]:
         """The changed values by their paths as text."""
         return {format_path(path): value for path, value in self.changes.items()}
@@ -82,7 +87,8 @@ class SensorFit(ABC):
         """Write the changed sensor file; comments are kept. Raises UserError: there is a problem, and no `anyway`."""
         if not anyway:
             self.refuse(out)
-        write_sensor(self.path, self.sensor, self.changes, out, "".join(f"# {line}\n" for line in self.head()))
+        notes = [self.interrupted, *self.head()] if self.interrupted else self.head()
+        write_sensor(self.path, self.sensor, self.changes, out, "".join(f"# {line}\n" for line in notes))
 
 
 def off(fitted: Array, measured: Array) -> Array:

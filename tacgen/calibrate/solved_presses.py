@@ -3,12 +3,13 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
 from tacgen import mechanics
 from tacgen.base.errors import UserError
+from tacgen.calibrate import steps
 from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import PinholeCamera
@@ -24,6 +25,8 @@ from tacgen.sensor.yaml_source import KeyPath
 # Over the thickness of the gel [-]. Below, the contact is smaller than the mesh's cells (depths in metres are, in any
 # gel); above, the elements between indenter and base are crushed, and solves fail or take minutes.
 MIN_PRESS_DEPTH_RATIO, MAX_PRESS_DEPTH_RATIO = 0.005, 0.6
+
+DEPTH_SOLVE_S, FORCE_SOLVE_S = 2.0, 8.0  # expected work of a press [s of a core]
 
 
 def problem(gel: Gel, at: tuple[float, float], depth: float | None = None, deeper: float = 1.0) -> str:
@@ -78,6 +81,11 @@ def solved_states(row: Row) -> tuple[mechanics.Problem, Iterator[mechanics.State
     return problem, mechanics.states(built, problem)
 
 
+def contact_radius(problem: mechanics.Problem, state: mechanics.State) -> float:
+    """Radius [mm] of a circle as large as the contact."""
+    return float(np.sqrt(problem.contact.faces.areas[state.normal_force > 0].sum() / np.pi))
+
+
 def faces(row: Row) -> Iterator[gel_surface.GelSurface]:
     """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
     problem, states = solved_states(row)
@@ -87,13 +95,38 @@ def faces(row: Row) -> Iterator[gel_surface.GelSurface]:
         yield untouched.pressed(problem, state)
 
 
+def faced(
+    sensor: LitSensor, presses: Sequence[PhotographedPress], folders: dict[KeyPath, Path]
+) -> tuple[tuple[PhotographedPress, ...], list[Surface]]:
+    """Presses with the radius of their contact, and their faces, of which the solved ones are made on all cores;
+    `folders`: see Row."""
+    solving = [press for press in presses if press.solved]
+    if not solving:
+        return tuple(presses), [face(sensor, press, folders) for press in presses]
+    seconds = sum(DEPTH_SOLVE_S if press.depth is not None else FORCE_SOLVE_S for press in solving)
+    steps.expect(seconds)
+    texts = [f"{press.name}: solved" for press in solving]
+    jobs = [(sensor, press, folders) for press in solving]
+    made = iter(steps.on_workers(_solved_one, jobs, texts, seconds / len(solving)))
+    found = [next(made) if press.solved else (press, face(sensor, press, folders)) for press in presses]
+    return tuple(press for press, _ in found), [one for _, one in found]
+
+
+def _solved_one(
+    sensor: LitSensor, press: PhotographedPress, folders: dict[KeyPath, Path]
+) -> tuple[PhotographedPress, Surface]:
+    """A press with the radius of its contact, by the solver if it is not given, and its solved face."""
+    aim = {"depth_mm": press.depth} if press.depth is not None else {"force_n": press.force}
+    ((found, radius),) = _solved(sensor, press, [aim], folders)
+    contact = radius / sensor.camera.mm_per_px if press.contact is None else press.contact
+    return replace(press, contact=contact), found
+
+
 def face(sensor: LitSensor, press: PhotographedPress, folders: dict[KeyPath, Path]) -> Surface:
     """The face of a press: solved at its depth or else its force if known, else by a formula from its contact radius;
     `folders`: see Row."""
-    if press.depth is not None:
-        return solved(sensor, press, [press.depth], folders)[0]
-    if press.force is not None:
-        return solved(sensor, press, [press.force], folders, aim="force_n")[0]
+    if press.solved:
+        return _solved_one(sensor, press, folders)[1]
     assert press.contact is not None
     untouched, camera = Untouched.of(sensor.gel), PinholeCamera.from_sensor(sensor)
     return BallDent.seen(camera, press.ball, press.center, press.contact, untouched, mean_curvature(sensor.gel))
@@ -106,18 +139,29 @@ def mean_curvature(gel: Gel) -> float:
 
 
 def solved(
-    sensor: LitSensor, press: PhotographedPress, aims: Sequence[float], folders: dict[KeyPath, Path],
-    aim: Literal["depth_mm", "force_n"] = "depth_mm",
-) -> Sequence[Surface]:  # fmt: skip
-    """Solved faces at increasing depths [mm] or forces [N], at the position of the ball in the photograph.
+    sensor: LitSensor, press: PhotographedPress, depths: Sequence[float], folders: dict[KeyPath, Path]
+) -> list[Surface]:
+    """Solved faces at increasing depths [mm], at the position of the ball in the photograph.
 
     Raises UserError: the solver fails.
     """
-    depth = float(np.mean(aims)) if aim == "depth_mm" else 0.0  # of the face where the camera sees the ball
+    return [one for one, _ in _solved(sensor, press, [{"depth_mm": float(depth)} for depth in depths], folders)]
+
+
+def _solved(
+    sensor: LitSensor, press: PhotographedPress, aims: Sequence[Mapping[str, Any]], folders: dict[KeyPath, Path]
+) -> list[tuple[gel_surface.GelSurface, float]]:
+    """Solved faces and contact radii [mm]. Raises UserError: the solver fails."""
+    depth = float(np.mean([aim.get("depth_mm", 0.0) for aim in aims]))  # of the face where the camera sees the ball
     try:
-        at = place(sensor, press.center, depth)
-        row = press_row(sensor, press.ball, at, [{aim: float(value)} for value in aims], "default")
-        return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
+        at, found = place(sensor, press.center, depth), []
+        row = press_row(sensor, press.ball, at, aims, "default")
+        problem, states = solved_states(replace(row, folders={**row.folders, **folders}))
+        untouched = gel_surface.seen(problem.mesh, len(sensor.gel.clear_layers))
+        for state in states:
+            found.append((untouched.pressed(problem, state), contact_radius(problem, state)))
+            steps.go_on(f"{len(found)} of {len(aims)}")
+        return found
     except (UserError, mechanics.NotConverged) as error:
         raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None
 

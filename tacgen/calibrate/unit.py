@@ -10,14 +10,17 @@ import numpy as np
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import (
+    contrast_fit,
     cross_validation,
-    dent_tables,
+    dent_family,
     indentation_fit,
     photometric_fit,
     press_localisation,
     sensor_fit,
+    steps,
 )
 from tacgen.calibrate import photos as reading
+from tacgen.calibrate.contrast_fit import ContrastFit
 from tacgen.calibrate.cross_validation import Fitted
 from tacgen.calibrate.dent_tables import with_thickness
 from tacgen.calibrate.indentation_fit import Gauge, GaugedPresses, HeldOutForces, IndentationFit
@@ -37,7 +40,9 @@ MIN_EXPLAINED_SHARE = 0.3  # least share of the pictures' changes that dents of 
 # contact radius that is solved, over the largest rough one; and its steps
 CONTACT_RADIUS_MARGIN, CONTACT_RADIUS_RATIO = 1.2, 1.25
 LIGHT_FIT_PRESSES = 6  # presses to which lights are fitted
+LIGHT_FIT_STEPS = 2  # Jacobians at most, for each ridge: lights may start where they look right by eye
 MIN_LIGHT_FIT_DEPTH = 0.4  # of the deepest press: least depth of those
+SCAN_S = 0.8  # expected work of finding a press at all thicknesses [s of a core]
 DEEPEST_SOLVED_SHARE = 0.999  # of the largest depth that is solved
 UNIT_MEASURE_HINTS = {
     "thickness": "press until the contact is wider than the gel is thick, also with a larger ball, or give"
@@ -71,6 +76,14 @@ class Unit(SensorFit):
     fitted: IndentationFit
     judged: tuple[HeldOutForces, ...]  # each of some held-out presses
     lights: Fitted | None
+    contrast: ContrastFit | None = None
+    dents_error: float = 0.0  # largest relative error of solved forces by their interpolation
+    note: str = ""  # what Ctrl-C has left out
+
+    @property
+    def interrupted(self) -> str:
+        """Note on what Ctrl-C has left out of the fit."""
+        return self.note
 
     @property
     def lit(self) -> bool:
@@ -90,6 +103,10 @@ class Unit(SensorFit):
         yield f"{self.sensor.name}: fitted to {self.said}"
         yield from (f"  {line}" for line in self.found())
         yield f"  friction {self.asked.friction:g}: assumed"
+        if self.note:
+            yield self.note
+        if self.dents_error:
+            yield f"solved presses: interpolated in the thickness, their forces to {100 * self.dents_error:.1f} %"
         yield (f"pictures: dents of these balls explain {100 * fitted.scan.explained:.0f} % of the change, light that"
                f" drifts {100 * self.drift:.0f} %")  # fmt: skip
         off, most = np.abs(fitted.force - self.gauge.force).mean(), self.gauge.force.max()
@@ -100,6 +117,8 @@ class Unit(SensorFit):
             told = self.lights.unseen or "too few presses to hold any out"
             kept = "" if self.lit else ": NOT BETTER, the file's lights are kept (see tacgen calibrate optics)"
             yield f"pictures of presses not seen by the fit of the lights: {told}{kept}"
+        if self.contrast is not None:
+            yield str(self.contrast)
 
     def found(self) -> Iterator[str]:
         """Each number with its interval."""
@@ -115,6 +134,8 @@ class Unit(SensorFit):
 
     def unseen(self) -> Iterator[str]:
         """Errors of forces that a fit has not seen, beside what they would be without pictures and at best."""
+        if not self.judged and self.note:
+            return
         if not self.judged:
             yield "not judged: too few presses to hold any out"
             return
@@ -140,6 +161,7 @@ class Unit(SensorFit):
             "unseen": [one.plain() for one in self.judged],
             "lights": None if self.lights is None else {"untouched": self.lights.untouched,
                                                         "before": self.lights.before, "used": self.lit},
+            "contrast": None if self.contrast is None else self.contrast.plain(),
             "changes": self.changed,
         }  # fmt: skip
 
@@ -148,6 +170,8 @@ class Unit(SensorFit):
         yield f"Fitted {UNIT_SOURCE} to {self.said}:"
         yield from (f"  {line}" for line in self.found())
         yield from self.unseen()
+        if self.contrast is not None:
+            yield str(self.contrast)
 
     def evidence(self) -> Evidence:
         """Forces, pictures, and forces of unseen presses against the mean of the seen ones."""
@@ -182,7 +206,9 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
         raise UserError(f"{path}: gel: must be a pad that is clear: the rim of a contact shows on such a gel alone")
     photos = reading.read_gauged(folder, sensor.camera)
     presses = _with_solved_dents(sensor, photos, asked)
+    steps.expect(SCAN_S * len(photos.presses) * (5 if asked.thickness else 1))
     try:
+        steps.begin("depths, places and thickness from the pictures", SCAN_S * len(photos.presses))
         raw = indentation_fit.fit(indentation_fit.thickness_scan(presses), presses)
     except ValueError as error:
         raise UserError(f"{table}: {error}") from None
@@ -190,11 +216,21 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     if wrong := [*_too_deep(raw, photos, presses), *_undetermined(raw, table)]:
         no_dents = sensor_fit.no_dents(raw.scan.explained, drift)
         raise UserError(f"{table}: {no_dents}" if no_dents else wrong)
-    fitted = indentation_fit.corrected(raw, _at_thickness(sensor, raw, asked), presses)
-    now = _at_thickness(sensor, fitted, asked)
-    lights = _lights(now, fitted, photos, presses, asked.limits) if asked.lights else None
-    made = Unit(path, sensor, {}, photos, presses.gauge, drift, asked, fitted, _held_out(photos, presses), lights)
-    return replace(made, changes=_changes(made, now))
+    made = Unit(path, sensor, {}, photos, presses.gauge, drift, asked, raw, (), None, None, presses.error)
+    try:
+        steps.begin("the method's own error, from rendered presses", 2 * SCAN_S * len(photos.presses))
+        made = replace(made, fitted=indentation_fit.corrected(raw, _at_thickness(sensor, raw, asked), presses))
+        steps.begin("forces of presses that the fit has not seen", 2 * SCAN_S * len(photos.presses))
+        made = replace(made, judged=_held_out(photos, presses))
+        if asked.lights:
+            now = _at_thickness(sensor, made.fitted, asked)
+            lights = _lights(now, made.fitted, photos, presses, asked.limits)
+            made = replace(made, lights=lights)
+            made = replace(made, **_contrasted(made, now, lights, presses))
+    except KeyboardInterrupt:
+        left = "lights" if made.judged else "judgement and lights" if made.fitted is not raw else "all but a first fit"
+        made = replace(made, note=f"{steps.INTERRUPTED}: without {left}")
+    return replace(made, changes=_changes(made, _at_thickness(sensor, made.fitted, asked)))
 
 
 def _with_solved_dents(sensor: LitSensor, photos: GaugedPhotos, asked: Asked) -> GaugedPresses:
@@ -215,15 +251,8 @@ def _with_solved_dents(sensor: LitSensor, photos: GaugedPhotos, asked: Asked) ->
         contact = CONTACT_RADIUS_MARGIN * np.sqrt(1.6 * ball * deepest)
         widest[ball] = round(float(CONTACT_RADIUS_RATIO ** np.ceil(np.log(contact) / np.log(CONTACT_RADIUS_RATIO))), 3)
     tried = indentation_fit.THICKNESS_FACTORS if asked.thickness else (1.0,)
-    gels = [with_thickness(sensor, factor * sensor.gel.thickness_mm) for factor in tried]
-    dents = [
-        {
-            ball: dent_tables.solved(gel, ball, (x, y), most, asked.friction, asked.quality)
-            for ball, most in widest.items()
-        }
-        for gel in gels
-    ]
-    return GaugedPresses(view, pictures, gauge, dents)
+    dents, error = dent_family.solved(sensor, widest, (x, y), tried, asked.friction, asked.quality)
+    return GaugedPresses(view, pictures, gauge, dents, error)
 
 
 def _at_thickness(sensor: LitSensor, fitted: IndentationFit, asked: Asked) -> LitSensor:
@@ -270,6 +299,18 @@ def _lights(
             PhotographedPress(press.name, picture, press.ball, (right, down), contact, depth, aspect=camera.aspect)
         )
     return photometric_fit.fit_faces(sensor, Photos(photos.folder, first, tuple(shown)), faces, limits, changes=True)
+
+
+def _contrasted(made: Unit, now: LitSensor, lights: Fitted, presses: GaugedPresses) -> dict[str, Any]:
+    """The lights with the contrast that suits the forces, and that contrast; `now` has the fitted thickness.
+
+    Lights that are no better than the file's are not used, and their contrast is not fitted.
+    """
+    if not made.lit:
+        return {}
+    changes = [press.picture.astype(float) - press.untouched for press in made.photos.presses]
+    found = contrast_fit.fit(photometric_fit.at_scale(now, lights.sensor), made.fitted, presses, changes)
+    return {"lights": replace(lights, sensor=contrast_fit.scaled(lights.sensor, found.factor)), "contrast": found}
 
 
 def _undetermined(fitted: IndentationFit, table: Path) -> Iterator[str]:

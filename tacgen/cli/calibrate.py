@@ -1,5 +1,7 @@
 """`tacgen calibrate`: sensor files fitted to measurements of one's own unit."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,7 +49,8 @@ def optics(
 
     inputs = [Path(sensor), images]
     allowed((out, figure), inputs, overwrite)
-    fitted = fitting.optics(sensor, images, FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
+    with _progress():
+        fitted = fitting.optics(sensor, images, FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
     drawn = figure, "unseen presses, photographed and rendered"
     _finish(fitted, "unit", inputs, drawn, out, anyway=anyway, overwrite=overwrite, as_json=as_json)
 
@@ -75,7 +78,8 @@ def material(
 
     inputs = [Path(sensor), Path(recipe), data]
     allowed((out, plot), inputs, overwrite)
-    fitted = fitting.material(sensor, recipe, data, fitting.Unknowns(not no_zero, second, prony))
+    with _progress():
+        fitted = fitting.material(sensor, recipe, data, fitting.Unknowns(not no_zero, second, prony))
     drawn = plot, "forces, and what the fit is off by"
     _finish(fitted, "gel", inputs, drawn, out, anyway=anyway, overwrite=overwrite, as_json=as_json)
 
@@ -94,8 +98,8 @@ def unit(
         bool, typer.Option("--keep-thickness", help="The gel is as thick as the sensor file says.")
     ] = False,
     no_lights: Annotated[bool, typer.Option("--no-lights", help="Do not fit the lights.")] = False,
-    tolerance_mm: Shift = 0.5,
-    tolerance_deg: Rotation = 5.0,
+    tolerance_mm: Shift = 2.0,
+    tolerance_deg: Rotation = 15.0,
     no_markers: NoMarkers = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw forces from pictures over measured ones.")] = None,
     anyway: Anyway = False,
@@ -108,19 +112,34 @@ def unit(
 
     inputs = [Path(sensor), images]
     allowed((out, plot), inputs, overwrite)
-    limits = FitLimits(tolerance_mm, tolerance_deg, no_markers)
-    fitted = fitting.unit(sensor, images, fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits))
+    limits = FitLimits(tolerance_mm, tolerance_deg, no_markers, fitting.LIGHT_FIT_STEPS)
+    asked = fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits)
+    with _progress():
+        fitted = fitting.unit(sensor, images, asked)
     drawn = plot, "forces from pictures over measured ones"
     _finish(fitted, "unit", inputs, drawn, out, anyway=anyway, overwrite=overwrite, as_json=as_json)
+
+
+@contextmanager
+def _progress() -> Iterator[None]:
+    """Show the steps of a fit on stderr."""
+    from tacgen.calibrate import steps
+    from tacgen.report.step_progress import StepProgress
+
+    with StepProgress() as shown, steps.telling(shown):
+        yield
 
 
 def _finish(
     fitted: "SensorFit", of: str, inputs: list[Path], drawn: tuple[Path | None, str], out: Path | None, *,
     anyway: bool, overwrite: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    """Draw, write and print a fit. Raises UserError, after printing it: it is not plausible and must not be written."""
+    """Draw, write and print a fit. Raises UserError, after printing it: it is not plausible and must not be written.
+
+    Exits with 130 after a fit that Ctrl-C has ended.
+    """
     lines, problem, (figure, what) = list(fitted.lines()), fitted.problem(), drawn
-    if figure is not None:
+    if figure is not None and not fitted.interrupted:
         with written(figure, inputs, overwrite) as path:
             fitted.draw(path)
         lines.append(f"{figure}: {what}")
@@ -133,3 +152,5 @@ def _finish(
     show_result({**fitted.plain(), "problem": problem}, "\n".join(lines), as_json)
     if out is not None and not anyway:
         fitted.refuse(out)
+    if fitted.interrupted:
+        raise typer.Exit(130)

@@ -101,7 +101,7 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     assert [row[0] for row in table.rows] == names
     assert all(len(row) == 3 + len(real.TRAINED) for row in table.rows)
     errors = {row[0]: row[3:] for row in table.rows}
-    others, _, own, left_out = errors[names[2]]
+    others, own, left_out = errors[names[2]]
     assert others > 8 > 3 > own
     assert left_out < 3
     assert errors[names[0]][0] < others

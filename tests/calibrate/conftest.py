@@ -2,7 +2,7 @@
 
 import pytest
 
-from tacgen.calibrate import normal_net, render_comparison
+from tacgen.calibrate import normal_net, render_comparison, steps
 
 
 @pytest.fixture(autouse=True)
@@ -10,6 +10,7 @@ def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the tests compare is several times larger than the loss of accuracy."""
     monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 60)
     monkeypatch.setattr(normal_net, "ENSEMBLE_SIZE", 1)
+    monkeypatch.setattr(steps, "MAX_WORKERS", 1)  # other processes would know none of this
 
 
 @pytest.fixture

@@ -57,6 +57,8 @@ def test_better_normals_count_unless_counts_rise_beyond_their_standard_error(cou
     one = cross_validation.HeldOutPresses((), (), (), np.array([[5, 5, 5], counts]), (before, after))
     assert one.better == better
     assert not replace(one, likeness=(after, before)).better
+    hardly = replace(before, each=before.each - 0.08)  # two networks differ by as much
+    assert not replace(one, likeness=(before, hardly)).better
 
 
 @pytest.mark.slow
@@ -125,11 +127,11 @@ def test_a_press_of_known_force_is_solved(tmp_path: Path, monkeypatch: pytest.Mo
     press = photos.PhotographedPress("p.png", np.zeros((64, 80, 3), np.uint8), 3.0, (40.0, 32.0), None, None, 0.3)
     asked = {}
 
-    def faces(row: Any) -> Any:
+    def solved_states(row: Any) -> Any:
         asked["press"] = row.recipe.trajectory[0].press
         raise NotConverged("so it is solved")
 
-    monkeypatch.setattr(solved_presses, "faces", faces)
+    monkeypatch.setattr(solved_presses, "solved_states", solved_states)
     with pytest.raises(UserError, match=r"p\.png: cannot be solved"):
         solved_presses.face(unit, press, {})
     assert (asked["press"].force_n, asked["press"].depth_mm) == (0.3, None)
