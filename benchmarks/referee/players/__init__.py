@@ -1,0 +1,16 @@
+"""The players: names on the command line, and the modules that hold them as PLAYERS."""
+
+import importlib
+
+from benchmarks.referee.player import Player
+
+MODULES = {
+    "tacgen": "tacgen_player",
+    "linear_tets": "linear_tets",
+}
+
+
+def players(name: str) -> tuple[Player, ...]:
+    """The players of one module, whose packages need not be installed."""
+    found: tuple[Player, ...] = importlib.import_module(f"{__name__}.{MODULES[name]}").PLAYERS
+    return found
