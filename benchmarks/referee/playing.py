@@ -34,13 +34,16 @@ def xyzw(pose: Pose) -> Array:
     return Rotation.from_matrix(pose.matrix[:3, :3]).as_quat()
 
 
-def speed(case: Case, frame: int) -> tuple[Array, Array]:
-    """Velocity [mm/s] and turning rate [rad/s], both (3,) in the sensor's frame, with which a frame is reached along
-    the face; 0 for the part along z, where a player waits for rest."""
-    before, now = (case.poses[i] for i in (max(frame - 1, 0), frame))
-    moved = np.array([now.x - before.x, now.y - before.y, 0.0])
-    turned = Rotation.from_matrix(now.matrix[:3, :3] @ before.matrix[:3, :3].T).as_rotvec()
-    return moved / FRAME_S, turned / FRAME_S
+def speed(before: Pose, now: Pose, seconds: float) -> tuple[Array, Array]:
+    """Velocity [mm/s] in the sensor's frame and turning rate [rad/s] in the shape's own, both (3,), from a pose to
+    another."""
+    before_turn, now_turn = (Rotation.from_matrix(pose.matrix[:3, :3]) for pose in (before, now))
+    return np.subtract(now[:3], before[:3]) / seconds, (before_turn.inv() * now_turn).as_rotvec() / seconds
+
+
+def along(before: Pose, now: Pose) -> bool:
+    """Whether a step moves along the face, or turns: friction that creeps is then read before it comes to rest."""
+    return before[:2] != now[:2] or before[3:] != now[3:]
 
 
 def wrench(points: Array, forces: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
-"""MuJoCo: the pad as a flex of tetrahedra (flexcomp, dim 3) with its E and nu, and a rigid shape held on its path.
+"""MuJoCo: the pad as a flex of tetrahedra (flexcomp, dim 3) of its E and nu, and a rigid shape led along the path.
 
-The shape is a mocap body, which contact does not move; forces are mj_contactForce at rest in each frame. The damping of
-elasticity is large enough for rest; it does not matter at rest. Contact is convex: the ring is 32 capsules.
+Each step sets place and speed of the shape, of 1 kg; forces are mj_contactForce, at rest after a press and in motion
+after a slide or turn, since friction at rest creeps to 0. Contact is convex: the ring is 32 capsules.
 """
 
 import time
@@ -13,7 +13,80 @@ import numpy as np
 from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, POISSONS, YOUNGS_MPA, Case, Pose
 from benchmarks.referee.player import Answer, NotPlayed
 from benchmarks.referee.players.mujoco_rigid import add_shape, contacts_on
-from benchmarks.referee.playing import answer, between, missing, quaternion, versions
+from benchmarks.referee.playing import FRAME_S, along, answer, between, missing, quaternion, speed, versions
 
-DEFAULT = {"young_factor": 1.0, "solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "cell_mm": 2.0}
+DEFAULT = {"solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "young_factor": 1.0, "cell_mm": 2.0}
 TUNED = DEFAULT
+STEP_S, RESTING = 0.002, 25  # time step [s], MuJoCo's own; steps at rest
+RADIUS_M = 1e-4  # of the flex's points: contact begins so far above the face
+PAD = """<mujoco><option timestep="{step}" integrator="discrete" solver="CG" cone="elliptic" gravity="0 0 0"/>
+<worldbody><flexcomp name="pad" type="grid" dim="3" count="{n[0]} {n[1]} {n[2]}" spacing="{s} {s} {s}" pos="0 0 {middle}"
+ radius="{radius}" mass="{mass}"><edge equality="false"/><elasticity young="{young}" poisson="{nu}" damping="0.001"/>
+<contact selfcollide="none" solref="{solref}" solimp="{solimp}" friction="{mu} 0 0"/>
+<pin gridrange="0 0 0 {last[0]} {last[1]} 0"/></flexcomp></worldbody></mujoco>"""
+
+
+class MujocoFlex:
+    name = "MuJoCo flex"
+    settings = ("default", "tuned")
+
+    def available(self) -> str | None:
+        return missing("mujoco")
+
+    def version(self) -> str:
+        return versions("mujoco")
+
+    def play(self, case: Case, setting: str) -> Answer:
+        return self.with_contact(case, DEFAULT if setting == "default" else TUNED)
+
+    def with_contact(self, case: Case, how: Mapping[str, Any]) -> Answer:
+        """Play with these constants of contact, factor of E and cells."""
+        if case.mass_kg:
+            raise NotPlayed("a free body between two soft pads was not set up")
+        import mujoco
+
+        model = _model(case, how)
+        data = mujoco.MjData(model)
+        joint = data.joint("shape")
+        found, last, start = [], Pose(z=max(case.clearance, 0.05)), time.process_time()
+        for frame, pose in enumerate(case.poses):
+            steps = round(FRAME_S / STEP_S)
+            path = between(last, pose, steps)
+            if not along(last, pose):
+                path += [pose] * RESTING
+            before = last
+            for one in path:
+                moved, turned = speed(before, one, STEP_S)
+                joint.qpos[:] = *np.array(one[:2]) / 1000, one.z / 1000 + RADIUS_M, *quaternion(one)
+                joint.qvel[:] = *moved / 1000, *turned
+                mujoco.mj_step(model, data)
+                before = one
+            last = pose
+            if frame in case.judged:
+                found.append(contacts_on(model, data))
+        return answer(found, (time.process_time() - start) / len(case.poses), dict(how))
+
+
+def _model(case: Case, how: Mapping[str, Any]) -> Any:
+    """The pad and the shape [m]."""
+    import mujoco
+
+    n = [round(size / how["cell_mm"]) + 1 for size in PAD_MM]
+    spec = mujoco.MjSpec.from_string(
+        PAD.format(
+            n=n, last=[k - 1 for k in n], s=how["cell_mm"] / 1000, middle=-PAD_MM[2] / 2000, step=STEP_S, radius=RADIUS_M,
+            mass=DENSITY_KG_M3 * np.prod(PAD_MM) * 1e-9, young=how["young_factor"] * YOUNGS_MPA * 1e6, nu=POISSONS,
+            mu=case.friction, solref=" ".join(map(str, how["solref"])), solimp=" ".join(map(str, how["solimp"])),
+        )
+    )  # fmt: skip
+    geom = spec.default.geom
+    geom.solref[:], geom.solimp[:], geom.friction[0] = how["solref"], how["solimp"], case.friction
+    body = spec.worldbody.add_body()
+    body.add_freejoint(name="shape")
+    add_shape(spec, body, case)
+    for one in body.geoms:
+        one.mass = 1 / len(body.geoms)
+    return spec.compile()
+
+
+PLAYERS = (MujocoFlex(),)
