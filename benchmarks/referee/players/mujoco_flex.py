@@ -5,7 +5,7 @@ after a slide or turn, since friction at rest creeps to 0. Contact is convex: th
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,21 @@ from benchmarks.referee.player import Answer, NotPlayed
 from benchmarks.referee.players.mujoco_rigid import add_shape, contacts_on
 from benchmarks.referee.playing import FRAME_S, along, answer, between, missing, quaternion, speed, versions
 
-DEFAULT = {"solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "young_factor": 1.0, "cell_mm": 2.0}
+SOFT = {"solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "impratio": 1.0}  # MuJoCo's own
+DEFAULT = SOFT | {"young_factor": 1.0, "cell_mm": 2.0}
 TUNED = DEFAULT
+LOW, HIGH = (6.0, 0.4, 0.0), (9.0, 1.2, 2.0)  # log of stiffness per mass [1/s^2], factor of E, log of impratio
+
+
+def settings_at(x: Sequence[float]) -> dict[str, Any]:
+    """Settings of a point of the search; contact is damped critically."""
+    contact = {"solref": (-(10 ** x[0]), -2 * 10 ** (x[0] / 2)), "impratio": 10 ** x[2]}
+    return SOFT | contact | {"young_factor": x[1], "cell_mm": 1.0}
+
+
 STEP_S, RESTING = 0.002, 25  # time step [s], MuJoCo's own; steps at rest
 RADIUS_M = 1e-4  # of the flex's points: contact begins so far above the face
-PAD = """<mujoco><option timestep="{step}" integrator="discrete" solver="CG" cone="elliptic" gravity="0 0 0"/>
+PAD = """<mujoco><option timestep="{step}" integrator="discrete" solver="CG" cone="elliptic" impratio="{impratio}" gravity="0 0 0"/>
 <worldbody><flexcomp name="pad" type="grid" dim="3" count="{n[0]} {n[1]} {n[2]}" spacing="{s} {s} {s}" pos="0 0 {middle}"
  radius="{radius}" mass="{mass}"><edge equality="false"/><elasticity young="{young}" poisson="{nu}" damping="0.001"/>
 <contact selfcollide="none" solref="{solref}" solimp="{solimp}" friction="{mu} 0 0"/>
@@ -76,7 +86,7 @@ def _model(case: Case, how: Mapping[str, Any]) -> Any:
         PAD.format(
             n=n, last=[k - 1 for k in n], s=how["cell_mm"] / 1000, middle=-PAD_MM[2] / 2000, step=STEP_S, radius=RADIUS_M,
             mass=DENSITY_KG_M3 * np.prod(PAD_MM) * 1e-9, young=how["young_factor"] * YOUNGS_MPA * 1e6, nu=POISSONS,
-            mu=case.friction, solref=" ".join(map(str, how["solref"])), solimp=" ".join(map(str, how["solimp"])),
+            mu=case.friction, impratio=how["impratio"], solref=" ".join(map(str, how["solref"])), solimp=" ".join(map(str, how["solimp"])),
         )
     )  # fmt: skip
     geom = spec.default.geom

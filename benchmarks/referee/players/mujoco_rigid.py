@@ -6,7 +6,7 @@ Contact is convex: the ring is 32 capsules. The box of the grasp is free for a s
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,16 @@ from benchmarks.referee.playing import FRAME_S, along, answer, missing, quaterni
 
 DEFAULT = {"solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0)}  # MuJoCo's own
 TUNED = DEFAULT
+LOW, HIGH = (4.0, 0.0, 0.0, 0.5, -4.0), (9.0, 3.0, 0.5, 1.0, -2.5)  # logs: stiffness per mass [1/s^2], damping, width
+
+
+def settings_at(x: Sequence[float]) -> dict[str, Any]:
+    """Settings of a point of the search: damping as a part of the critical one, impedance at no depth, and at a
+    width [m]."""
+    solref = (-(10 ** x[0]), -(10 ** (x[0] / 2 + x[1])))
+    return {"solref": solref, "solimp": (x[2], x[3], 10 ** x[4], 0.5, 2.0)}
+
+
 GRASP_STEPS = 500  # of 2 ms
 CAPSULES = 32  # of the ring
 
