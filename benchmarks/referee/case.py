@@ -21,6 +21,15 @@ CELLS, CELL_MM = 40, 0.5  # of the grid of pressure and traction, a side
 DOTS, PITCH_MM = 9, 2.0  # of the grid of markers, a side
 STANDARD_GRAVITY_M_S2 = 9.80665  # of the grasp
 
+PAD = (  # as changes to the sensor gelsight_mini
+    *(f"sensor.gel.{name}={value:g}" for name, value in zip(("width_mm", "height_mm"), PAD_MM, strict=False)),
+    "sensor.gel.corner_radius_mm=0",
+    "sensor.walls.margin_mm=8",  # whose lamps stand beside a larger pad
+    f"sensor.gel.layers[0].thickness_mm={PAD_MM[2]:g}",
+    f"sensor.gel.layers[0].youngs_modulus_mpa={YOUNGS_MPA:g}",
+    f"sensor.gel.layers[0].poissons_ratio={POISSONS:g}",
+)
+
 # Shapes as tacgen's recipes give them; each has its lowest point at the origin of its own frame and z up. The edge is a
 # roof's ridge along y. The box, which the grasp holds, is 8 x 8 x 10 mm with edges rounded by .5 mm, as a mesh.
 SHAPES: dict[Shape, str] = {
@@ -80,6 +89,27 @@ class Case:
         """Height of the lowest point above the pad before the first frame [mm]: the largest z of the path."""
         return max(0.0, max(pose.z for pose in self.poses))
 
+    @property
+    def recipe(self) -> tuple[str, ...]:
+        """Changes that make tacgen's recipe `quickstart` this case, as `--set` takes them; a grasp needs more."""
+        moves = []
+        for before, pose in zip((Pose(z=self.clearance), *self.poses), self.poses, strict=False):
+            if pose.z != before.z:
+                moves.append("release: {frames: 1}" if pose.z > 0 else f"press: {{depth_mm: {-pose.z:g}, frames: 1}}")
+            elif (turn := pose.yaw - before.yaw) != 0:
+                moves.append(f"twist: {{angle_deg: {turn:g}, frames: 1}}")
+            elif (tilt := pose.tilt_x - before.tilt_x) != 0:
+                moves.append(f"tilt: {{angle_deg: {tilt:g}, frames: 1}}")
+            else:
+                moves.append(f"slide: {{x_mm: {pose.x - before.x:g}, frames: 1}}")
+        return (
+            *PAD,
+            f"indenter={SHAPES[self.shape]}",
+            f"start.clearance_mm={self.clearance:g}",
+            f"trajectory=[{', '.join(f'{{{move}}}' for move in moves)}]",
+            f"contact.friction={self.friction:g}",
+        )
+
     def mesh(self) -> "trimesh.Trimesh":
         """The shape in its own frame [mm], closed, with facets within about 1 um of it. Upper parts that never touch
         are cut off or rounded."""
@@ -102,11 +132,13 @@ def mesh_of(shape: Shape, chord: float = 0.001) -> "trimesh.Trimesh":
         at = np.array([(x, y, 0.5 + abs(x)) for x in (-3.0, 0.0, 3.0) for y in (-3.5, 3.5)])
         turn = arc(0.5, -135.0, -45.0)
         ridge = np.stack([0.5 * turn[:, 0], np.zeros(len(turn)), 0.5 * turn[:, 1]], -1)
-        return trimesh.Trimesh((at[:, None] + np.concatenate([ball, ridge])).reshape(-1, 3)).convex_hull
+        hull: trimesh.Trimesh = trimesh.convex.convex_hull((at[:, None] + np.concatenate([ball, ridge])).reshape(-1, 3))
+        return hull
     if shape == "box":
         corner = trimesh.creation.icosphere(subdivisions=4, radius=0.5).vertices
         at = np.array([(x, y, z) for x in (-3.5, 3.5) for y in (-3.5, 3.5) for z in (0.5, 9.5)])
-        return trimesh.Trimesh((at[:, None] + corner).reshape(-1, 3)).convex_hull
+        hull = trimesh.convex.convex_hull((at[:, None] + corner).reshape(-1, 3))
+        return hull
     if shape == "ball":
         profile = 4.0 * arc(4.0, -90.0, 90.0) + (0.0, 4.0)
     elif shape == "ring":
