@@ -66,5 +66,7 @@ def search(
     best = spread[int(np.argmin(costs))]
     steps = best + np.diag(np.where(best < 0.5, 0.15, -0.15))
     simplex = np.concatenate([best[None], steps])
-    done = minimize(cost, best, method="Nelder-Mead", options={"maxfev": trials - trials // 2, "initial_simplex": simplex})
+    done = minimize(
+        cost, best, method="Nelder-Mead", options={"maxfev": trials - trials // 2, "initial_simplex": simplex}
+    )
     return at(done.x), float(done.fun)

@@ -7,6 +7,11 @@ from benchmarks.referee.player import Player
 MODULES = {
     "tacgen": "tacgen_player",
     "linear_tets": "linear_tets",
+    "mujoco_rigid": "mujoco_rigid",
+    "mujoco_flex": "mujoco_flex",
+    "newton_soft": "newton_soft",
+    "genesis_rigid": "genesis_rigid",
+    "genesis_fem": "genesis_fem",
 }
 
 

@@ -1,63 +1,44 @@
 """Genesis: the pad by its implicit FEM, a rigid shape led along the path, contact by its SAP coupler (hydroelastic).
 
-Forces are the impulses of the coupler's contact. Settings are those of Genesis's examples of SAP, with the pad's E, nu and
-density. All is 100 times as long, and forces 10 000 times as large, since the coupler leaves out contact of areas that
+Forces are the impulses of the coupler's contact. Settings are those of Genesis's examples of SAP, with the pad's E, nu
+and density. All is 100 times as long, and forces 10 000 times as large, since the coupler leaves out contact of areas that
 are smaller than its constants; steps are then 1/60 s at .24 m/s for at most .12 m, and rest. On a core, in double.
 """
 
 import tempfile
 import time
-from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, POISSONS, YOUNGS_MPA, Array, Case, Pose, mesh_of
+from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, POISSONS, YOUNGS_MPA, Array, Case, mesh_of
 from benchmarks.referee.player import Answer, NotPlayed
 from benchmarks.referee.players.genesis_rigid import LEAST_FRICTION, begin
-from benchmarks.referee.playing import answer, between, missing, quaternion, versions
+from benchmarks.referee.playing import Settings, Simulator, answer, place, steps
 
 DEFAULT = {"young_factor": 1.0, "cell_mm": 2.0}
-TUNED = DEFAULT
 M_PER_MM, STEP_S, SUBSTEPS = 0.1, 1 / 60, 2
 MOVING, RESTING = 10, 15  # steps from frame to frame, and at rest in it
 CHORD_MM = 0.02  # between the shape and its facets
 HEAVY_KG = 1e8  # mass of the shape, which contact does not move
-CLEAR_MM = 0.05  # above the face, before the first frame
 HYDROELASTIC_PA = 1e7  # modulus of contact, Genesis's own
 
 
-class GenesisFem:
-    name = "Genesis FEM"
-    settings = ("default", "tuned")
-
-    def available(self) -> str | None:
-        return missing("genesis", "torch")
-
-    def version(self) -> str:
-        return versions("genesis-world", "quadrants")
-
-    def play(self, case: Case, setting: str) -> Answer:
-        return self.with_contact(case, DEFAULT if setting == "default" else TUNED)
-
-    def with_contact(self, case: Case, how: Mapping[str, Any]) -> Answer:
-        """Play with a factor of both moduli, and with tetrahedra of this size."""
-        if case.mass_kg:
-            raise NotPlayed("a free body between two soft pads was not set up")
-        scene, shape = _scene(case, how["young_factor"], how["cell_mm"])
-        found, last, start = [], Pose(z=max(case.clearance, CLEAR_MM)), 0.0
-        for frame, pose in enumerate(case.poses):
-            for one in between(last, pose, MOVING) + [pose] * RESTING:
-                shape.set_qpos(np.array([*np.array(one[:3]) * M_PER_MM, *quaternion(one)]))
-                shape.set_dofs_velocity(np.zeros(6))
-                scene.step()
-                start = start or time.process_time()  # after what is compiled
-            last = pose
-            if frame in case.judged:
-                found.append(_contacts(scene.sim.coupler.rigid_fem_contact))
-        return answer(found, (time.process_time() - start) / len(case.poses), dict(how))
+def run(case: Case, how: Settings) -> Answer:
+    """Play with a factor of both moduli, and with tetrahedra of this size."""
+    if case.mass_kg:
+        raise NotPlayed("a free body between two soft pads was not set up")
+    scene, shape = _scene(case, how["young_factor"], how["cell_mm"])
+    found, start = [], 0.0
+    for _, pose, judged in steps(case, MOVING, RESTING):
+        shape.set_qpos(place(pose, M_PER_MM))
+        shape.set_dofs_velocity(np.zeros(6))
+        scene.step()
+        start = start or time.process_time()  # after what is compiled
+        if judged:
+            found.append(_contacts(scene.sim.coupler.rigid_fem_contact))
+    return answer(found, (time.process_time() - start) / len(case.poses), how)
 
 
 def _contacts(handler: Any) -> tuple[Array, Array]:
@@ -71,41 +52,50 @@ def _contacts(handler: Any) -> tuple[Array, Array]:
     return at / M_PER_MM, total * SUBSTEPS / STEP_S / (1000 * M_PER_MM) ** 2
 
 
-@cache
 def _scene(case: Case, young_factor: float, cell_mm: float) -> tuple[Any, Any]:
     """The scene, built, and the shape in it."""
-    gs = begin()
-    none: Any = "none"
+    gs, size = begin(), np.array(PAD_MM) * M_PER_MM
+    exact = {
+        "pcg_threshold": 1e-10,
+        "linesearch_ftol": 1e-10,
+        "sap_convergence_atol": 1e-10,
+        "sap_convergence_rtol": 1e-10,
+    }
+    others = ("fem_floor_contact_type", "rigid_floor_contact_type", "rigid_rigid_contact_type")
     scene = gs.Scene(
         sim_options=gs.options.SimOptions(dt=STEP_S, substeps=SUBSTEPS, gravity=(0, 0, 0)),
-        fem_options=gs.options.FEMOptions(use_implicit_solver=True, enable_vertex_constraints=True, pcg_threshold=1e-10),
+        fem_options=gs.options.FEMOptions(
+            use_implicit_solver=True, enable_vertex_constraints=True, pcg_threshold=1e-10
+        ),
         coupler_options=gs.options.SAPCouplerOptions(
-            pcg_threshold=1e-10, sap_convergence_atol=1e-10, sap_convergence_rtol=1e-10, linesearch_ftol=1e-10,
-            enable_fem_self_tet_contact=False, fem_floor_contact_type=none, rigid_floor_contact_type=none,
-            rigid_rigid_contact_type=none,
+            enable_fem_self_tet_contact=False, **exact, **dict.fromkeys(others, "none")
         ),
         show_viewer=False,
-    )  # fmt: skip
-    size = np.array(PAD_MM) * M_PER_MM
+    )
     box = gs.morphs.Box(
-        pos=(0, 0, -size[2] / 2), size=tuple(size), nobisect=False, minratio=1.4, maxvolume=(cell_mm * M_PER_MM) ** 3 / 6
+        pos=(0, 0, -size[2] / 2),
+        size=tuple(size),
+        nobisect=False,
+        minratio=1.4,
+        maxvolume=(cell_mm * M_PER_MM) ** 3 / 6,
     )
     gel = gs.materials.FEM.Elastic(
         model="linear_corotated", E=young_factor * YOUNGS_MPA * 1e6, nu=POISSONS, rho=DENSITY_KG_M3,
         friction_mu=case.friction, hydroelastic_modulus=young_factor * HYDROELASTIC_PA,
     )  # fmt: skip
     pad = scene.add_entity(morph=box, material=gel)
-    friction = max(case.friction, LEAST_FRICTION)
     with tempfile.TemporaryDirectory() as folder:
-        mesh = mesh_of(case.shape, CHORD_MM).copy()
-        mesh.apply_scale(M_PER_MM).export(Path(folder, "shape.obj"))
+        mesh = mesh_of(case.shape, CHORD_MM).copy().apply_scale(M_PER_MM)
+        mesh.export(Path(folder, "shape.obj"))
         morph = gs.morphs.Mesh(file=str(Path(folder, "shape.obj")), decimate=False, convexify=False, align=False)
-        rigid = gs.materials.Rigid(rho=HEAVY_KG / mesh.volume, friction=friction, coup_friction=case.friction)
-        shape = scene.add_entity(morph=morph, material=rigid)
+        friction = {"friction": max(case.friction, LEAST_FRICTION), "coup_friction": case.friction}
+        shape = scene.add_entity(morph=morph, material=gs.materials.Rigid(rho=HEAVY_KG / mesh.volume, **friction))
         scene.build()
     base = (pad.init_positions[:, 2] < -size[2] + 1e-6).nonzero()[:, 0]
     pad.set_vertex_constraints(base, pad.init_positions[base])
     return scene, shape
 
 
-PLAYERS = (GenesisFem(),)
+TUNED = DEFAULT
+CHOSEN = {"default": DEFAULT, "tuned": TUNED}
+PLAYERS = (Simulator("Genesis FEM", ("genesis", "torch"), ("genesis-world", "quadrants"), CHOSEN, run),)

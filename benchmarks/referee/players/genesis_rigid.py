@@ -1,31 +1,38 @@
-"""Genesis: a rigid pad and a rigid shape on six joints, with Genesis's own soft contact, whose stiffness is per mass.
+"""Genesis: a rigid pad and a rigid shape with Genesis's own soft contact, whose stiffness is per mass of the shape and,
+as its constraints are pyramids of friction, falls with the square of friction.
 
-The joints are held by position control that yields less than 1 um, on a core in double precision; forces are those of
-`get_contacts`, at rest after a press and in motion after a slide or turn, since friction at rest creeps to 0. The box
-of the grasp is free for a second between two closed pads.
+The shape hangs on six joints, whose position control yields less than .1 mm. Forces are those of `get_contacts`, at
+rest after a press and in motion after a slide or turn, since friction at rest creeps to 0. The box is free for a second
+between two closed pads. On a core, in double precision.
 """
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, STANDARD_GRAVITY_M_S2, Array, Case, Pose
+from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, STANDARD_GRAVITY_M_S2, Case
 from benchmarks.referee.player import Answer
-from benchmarks.referee.playing import FRAME_S, along, answer, between, missing, versions
+from benchmarks.referee.playing import FRAME_S, Settings, Simulator, answer, steps
 
-DEFAULT: dict[str, Any] = {}  # Genesis's own
-TUNED = DEFAULT
+DEFAULT = {"sol_params": (0.02, 1.0, 0.9, 0.95, 0.001, 0.5, 2.0)}  # Genesis's own
+LOW, HIGH = (-2.5, 0.0, 0.0, 0.5, -4.0), (0.0, 1.0, 0.5, 1.0, -2.5)  # of the search
 STEP_S, RESTING, FREE = 0.01, 20, 100  # time step, Genesis's own [s]; steps at rest; of the free box
-STIFF = {"slide": 1e7, "hinge": 1e3}  # of the control [N/m, N m/rad]; damped by a step's worth
-JOINTS = (("slide", "1 0 0"), ("slide", "0 1 0"), ("slide", "0 0 1"), ("hinge", "0 1 0"), ("hinge", "1 0 0"), ("hinge", "0 0 1"))  # fmt: skip
 LEAST_FRICTION = 0.01  # that Genesis takes
+STIFF = np.repeat([1e7, 1e3], 3)  # of the control [N/m, N m/rad]; damped by a step's worth
+JOINTS = ("slide:1 0 0", "slide:0 1 0", "slide:0 0 1", "hinge:0 1 0", "hinge:1 0 0", "hinge:0 0 1")
 MODEL = """<mujoco><compiler angle="radian"/><asset><mesh name="shape" file="shape.stl"/></asset><worldbody><body>
 {joints}<geom type="mesh" mesh="shape" {mass}/></body></worldbody></mujoco>"""
+
+
+def settings_at(x: Sequence[float]) -> dict[str, Any]:
+    """Settings of a point of the search: logs of contact's time constant [s] and damping ratio, impedance at no depth
+    and at a width, log of the width [m]."""
+    return {"sol_params": (10 ** x[0], 10 ** x[1], x[2], x[3], 10 ** x[4], 0.5, 2.0)}
 
 
 def begin() -> Any:
@@ -37,77 +44,52 @@ def begin() -> Any:
     return gs
 
 
-class GenesisRigid:
-    name = "Genesis rigid"
-    settings = ("default", "tuned")
-
-    def available(self) -> str | None:
-        return missing("genesis", "torch")
-
-    def version(self) -> str:
-        return versions("genesis-world", "quadrants")
-
-    def play(self, case: Case, setting: str) -> Answer:
-        return self.with_contact(case, DEFAULT if setting == "default" else TUNED)
-
-    def with_contact(self, case: Case, how: Mapping[str, Any]) -> Answer:
-        """Play with `sol_params` of contact, if given."""
-        scene, shape = _scene(case)
-        scene.reset()
-        if how:
-            for geom in scene.rigid_solver.geoms:
-                geom.set_sol_params(np.array(how["sol_params"]))
-        if not case.mass_kg:
-            shape.set_qpos(_joints(Pose(z=max(case.clearance, 0.05))))
-        found, last, start = [], Pose(z=max(case.clearance, 0.05)), time.process_time()
-        for frame, pose in enumerate(case.poses):
-            path = between(last, pose, round(FRAME_S / STEP_S)) + ([] if along(last, pose) else [pose] * RESTING)
-            for one in path if not case.mass_kg else range(FREE):
-                if not case.mass_kg:
-                    shape.control_dofs_position(_joints(one))
-                scene.step()
-            last = pose
-            if frame in case.judged:
-                at = {key: np.asarray(value, float) for key, value in shape.get_contacts().items()}
-                on_pad = np.where((at["link_a"] == shape.links[-1].idx)[:, None], at["force_b"], at["force_a"])
-                found.append((1000 * at["position"], on_pad))
-        return answer(found, (time.process_time() - start) / len(case.poses), dict(how))
-
-
-def _joints(pose: Pose) -> Array:
-    """Places of the joints [m, rad]."""
-    return np.array([*np.array(pose[:3]) / 1000, *np.radians([pose.tilt_y, pose.tilt_x, pose.yaw])])
+def run(case: Case, how: Settings) -> Answer:
+    """Play with these parameters of contact."""
+    scene, shape = _scene(case)
+    scene.reset()
+    for geom in scene.rigid_solver.geoms:
+        geom.set_sol_params(np.array(how["sol_params"]))
+    found, start, free = [], time.process_time(), case.mass_kg > 0
+    for number, (_, pose, judged) in enumerate(steps(case, round(FRAME_S / STEP_S), RESTING, creeping=True)):
+        if not free:
+            lead = shape.control_dofs_position if number else shape.set_qpos
+            lead(np.array([*np.array(pose[:3]) / 1000, *np.radians([pose.tilt_y, pose.tilt_x, pose.yaw])]))
+        for _ in range(FREE * judged if free else 1):
+            scene.step()
+        if judged:
+            at = {key: np.asarray(value, float) for key, value in shape.get_contacts().items()}
+            first = (at["link_a"] == shape.links[-1].idx)[:, None]
+            found.append((1000 * at["position"], np.where(first, at["force_b"], at["force_a"])))
+    return answer(found, (time.process_time() - start) / len(case.poses), how)
 
 
 @cache
 def _scene(case: Case) -> tuple[Any, Any]:
     """The scene, built, and the shape in it [m]; a grasp has two pads that are closed."""
-    gs = begin()
-    gravity = (0, STANDARD_GRAVITY_M_S2 if case.mass_kg else 0, 0)
+    gs, free = begin(), case.mass_kg > 0
+    gravity = (0, STANDARD_GRAVITY_M_S2 if free else 0, 0)
     scene = gs.Scene(sim_options=gs.options.SimOptions(dt=STEP_S, gravity=gravity), show_viewer=False)
-    bodies = []
-    for sign, face in ((-1, 0.0), (1, 0.01 + 2 * case.poses[-1].z / 1000))[: 2 if case.mass_kg else 1]:
-        size, place = np.array(PAD_MM) / 1000, (0, 0, face + sign * PAD_MM[2] / 2000)
-        bodies.append(scene.add_entity(gs.morphs.Box(size=tuple(size), pos=place, fixed=True)))
+    low = case.poses[-1].z / 1000 if free else 0.0
+    for middle in (-PAD_MM[2] / 2000, 0.01 + 2 * low + PAD_MM[2] / 2000)[: 1 + free]:
+        scene.add_entity(gs.morphs.Box(size=tuple(np.array(PAD_MM) / 1000), pos=(0, 0, middle), fixed=True))
     with tempfile.TemporaryDirectory() as folder:
-        mesh = case.mesh()
-        mesh.apply_scale(0.001).export(Path(folder, "shape.stl"))
-        joints = '<freejoint name="free"/>' if case.mass_kg else "".join(
-            f'<joint name="{i}" type="{kind}" axis="{axis}"/>' for i, (kind, axis) in enumerate(JOINTS)
-        )  # fmt: skip
-        mass = f'mass="{case.mass_kg}"' if case.mass_kg else f'density="{DENSITY_KG_M3}"'
-        Path(folder, "shape.xml").write_text(MODEL.format(joints=joints, mass=mass))
-        start = case.poses[-1].z / 1000 if case.mass_kg else 0.0
-        shape = scene.add_entity(gs.morphs.MJCF(file=str(Path(folder, "shape.xml")), pos=(0, 0, start)))
+        case.mesh().apply_scale(0.001).export(Path(folder, "shape.stl"))
+        pairs = enumerate(joint.split(":") for joint in JOINTS)
+        joints = "".join(f'<joint name="{i}" type="{kind}" axis="{axis}"/>' for i, (kind, axis) in pairs)
+        mass = f'mass="{case.mass_kg}"' if free else f'density="{DENSITY_KG_M3}"'
+        text = MODEL.format(joints='<freejoint name="free"/>' if free else joints, mass=mass)
+        Path(folder, "shape.xml").write_text(text)
+        shape = scene.add_entity(gs.morphs.MJCF(file=str(Path(folder, "shape.xml")), pos=(0, 0, low)))
         scene.build()
-    for body in (*bodies, shape):
-        for geom in body.geoms:
-            geom.set_friction(max(case.friction, LEAST_FRICTION))
-    if not case.mass_kg:
-        stiff = np.array([STIFF[kind] for kind, _ in JOINTS])
-        shape.set_dofs_kp(stiff)
-        shape.set_dofs_kv(STEP_S * stiff)
+    for geom in scene.rigid_solver.geoms:
+        geom.set_friction(max(case.friction, LEAST_FRICTION))
+    if not free:
+        shape.set_dofs_kp(STIFF)
+        shape.set_dofs_kv(STEP_S * STIFF)
     return scene, shape
 
 
-PLAYERS = (GenesisRigid(),)
+TUNED = DEFAULT
+CHOSEN = {"default": DEFAULT, "tuned": TUNED}
+PLAYERS = (Simulator("Genesis rigid", ("genesis", "torch"), ("genesis-world", "quadrants"), CHOSEN, run),)

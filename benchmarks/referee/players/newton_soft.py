@@ -5,94 +5,73 @@ density; steps, iterations and contact are as in Newton's examples of soft bodie
 """
 
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, POISSONS, YOUNGS_MPA, Case, Pose
+from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, POISSONS, YOUNGS_MPA, Array, Case
 from benchmarks.referee.player import Answer, NotPlayed
-from benchmarks.referee.playing import answer, between, missing, versions, xyzw
+from benchmarks.referee.playing import Settings, Simulator, answer, place, steps
 
 DEFAULT = {"young_factor": 1.0, "ke": 1e5, "kd": 1e-4, "cell_mm": 1.0, "iterations": 10}
-TUNED = DEFAULT
 STEP_S, MOVING, RESTING = 1 / 600, 30, 30  # time step [s]; steps from frame to frame, and at rest in it
-CLEAR_MM = 0.05  # above the face, before the first frame
+XYZW = [0, 1, 2, 4, 5, 6, 3]  # order of Newton's poses
 
 
-class NewtonSoft:
-    name = "Newton soft, VBD"
-    settings = ("default", "tuned")
+def run(case: Case, how: Settings) -> Answer:
+    """Play with a factor of E, contact's stiffness and damping, cells, and iterations a step."""
+    if case.mass_kg:
+        raise NotPlayed("a free body between two soft pads was not set up")
+    import newton
 
-    def available(self) -> str | None:
-        return missing("newton")
-
-    def version(self) -> str:
-        return versions("newton", "warp-lang")
-
-    def play(self, case: Case, setting: str) -> Answer:
-        return self.with_contact(case, DEFAULT if setting == "default" else TUNED)
-
-    def with_contact(self, case: Case, how: Mapping[str, float]) -> Answer:
-        """Play with these constants."""
-        if case.mass_kg:
-            raise NotPlayed("a free body between two soft pads was not set up")
-        import newton
-
-        model = _model(case, how)
-        pipeline = newton.CollisionPipeline(model, soft_contact_gap=0.001)
-        contacts = pipeline.contacts()
-        solver = newton.solvers.SolverVBD(
-            model,
-            iterations=int(how["iterations"]),
-            particle_enable_tile_solve=False,
-            integrate_with_external_rigid_solver=True,
-            rigid_body_particle_contact_buffer_size=2048,
-        )
-        seen = solver.observables(["contact_f"], contacts=contacts)
-        now, then = model.state(), model.state()
-        found, start, last = [], 0.0, Pose(z=max(case.clearance, CLEAR_MM))
-        for frame, pose in enumerate(case.poses):
-            for one in between(last, pose, MOVING) + [pose] * RESTING:
-                at = np.array([[*np.array(one[:3]) / 1000, *xyzw(one)]], np.float32)
-                then.body_q.assign(at)
-                pipeline.collide(now, contacts)
-                solver.step(now, then, None, contacts, STEP_S, observables=seen)
-                now, then = then, now
-                start = start or time.process_time()  # after what is compiled
-            last = pose
-            if frame in case.judged:
-                count = int(contacts.soft_contact_count.numpy()[0])
-                local = 1000 * contacts.soft_contact_body_pos.numpy()[:count]
-                points = local @ pose.matrix[:3, :3].T + pose.matrix[:3, 3]
-                rows = seen.contact_f.numpy()[contacts.rigid_contact_max :][:count]
-                found.append((points, -rows[:, :3].astype(float)))  # the solver's are on the shape
-        seconds = (time.process_time() - start) / len(case.poses)
-        return answer(found, seconds, dict(how))
+    model = _model(case, how)
+    pipeline = newton.CollisionPipeline(model, soft_contact_gap=0.001)
+    contacts = pipeline.contacts()
+    solver = newton.solvers.SolverVBD(
+        model, iterations=how["iterations"], particle_enable_tile_solve=False,
+        integrate_with_external_rigid_solver=True, rigid_body_particle_contact_buffer_size=2048,
+    )  # fmt: skip
+    seen = solver.observables(["contact_f"], contacts=contacts)
+    now, then, found, start = model.state(), model.state(), [], 0.0
+    for _, pose, judged in steps(case, MOVING, RESTING):
+        then.body_q.assign(place(pose)[None, XYZW].astype(np.float32))
+        pipeline.collide(now, contacts)
+        solver.step(now, then, None, contacts, STEP_S, observables=seen)
+        now, then = then, now
+        start = start or time.process_time()  # after what is compiled
+        if judged:
+            found.append(_on_pad(contacts, seen, pose.matrix))
+    return answer(found, (time.process_time() - start) / len(case.poses), how)
 
 
-def _model(case: Case, how: Mapping[str, float]) -> Any:
+def _on_pad(contacts: Any, seen: Any, matrix: Array) -> tuple[Array, Array]:
+    """Points (n, 3) [mm] of contact and forces (n, 3) [N] on the pad; those of the solver are on the shape."""
+    count = int(contacts.soft_contact_count.numpy()[0])
+    points = 1000 * contacts.soft_contact_body_pos.numpy()[:count] @ matrix[:3, :3].T + matrix[:3, 3]
+    return points, -seen.contact_f.numpy()[contacts.rigid_contact_max :][:count, :3].astype(float)
+
+
+def _model(case: Case, how: Settings) -> Any:
     """The pad and the shape [m], on a core."""
     import newton
     import warp as wp
 
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
     young, cell, half = how["young_factor"] * YOUNGS_MPA * 1e6, how["cell_mm"] / 1000, np.array(PAD_MM) / 2000
-    cells = [round(size / how["cell_mm"]) for size in PAD_MM]
-    place = dict(pos=wp.vec3(-half[0], -half[1], -2 * half[2]), rot=wp.quat_identity(), vel=wp.vec3())
-    size = dict(dim_x=cells[0], dim_y=cells[1], dim_z=cells[2], cell_x=cell, cell_y=cell, cell_z=cell)
-    mu, lam = young / (2 * (1 + POISSONS)), young * POISSONS / ((1 + POISSONS) * (1 - 2 * POISSONS))
+    cells = dict(zip(("dim_x", "dim_y", "dim_z"), (round(size / how["cell_mm"]) for size in PAD_MM), strict=True))
+    lame = {"k_mu": young / (2 * (1 + POISSONS)), "k_lambda": young * POISSONS / ((1 + POISSONS) * (1 - 2 * POISSONS))}
+    corner = wp.vec3(-half[0], -half[1], -2 * half[2])
     builder.add_soft_grid(
-        **place, **size, density=DENSITY_KG_M3, k_mu=mu, k_lambda=lam, k_damp=1.0, particle_radius=0.0
-    )
+        pos=corner, rot=wp.quat_identity(), vel=wp.vec3(), cell_x=cell, cell_y=cell, cell_z=cell, **cells, **lame,
+        density=DENSITY_KG_M3, k_damp=1.0, particle_radius=0.0,
+    )  # fmt: skip
     for i, at in enumerate(builder.particle_q):
-        builder.particle_mass[i] *= at[2] > -2 * half[2] + 1e-6  # the base is fixed
+        builder.particle_mass[i] *= at[2] > corner[2] + 1e-6  # the base does not move
     config = newton.ModelBuilder.ShapeConfig(ke=how["ke"], kd=how["kd"], mu=case.friction, margin=0.0)
-    body = builder.add_body(is_kinematic=True)
+    body, mesh = builder.add_body(is_kinematic=True), case.mesh()
     if case.shape == "ball":
         builder.add_shape_sphere(body, xform=wp.transform(wp.vec3(0, 0, 0.004)), radius=0.004, cfg=config)
     else:
-        mesh = case.mesh()
         builder.add_shape_mesh(body, mesh=newton.Mesh(mesh.vertices / 1000, mesh.faces.ravel()), cfg=config)
     builder.color()
     model = builder.finalize(device="cpu")
@@ -100,4 +79,6 @@ def _model(case: Case, how: Mapping[str, float]) -> Any:
     return model
 
 
-PLAYERS = (NewtonSoft(),)
+TUNED = DEFAULT
+CHOSEN = {"default": DEFAULT, "tuned": TUNED}
+PLAYERS = (Simulator("Newton soft, VBD", ("newton", "warp"), ("newton", "warp-lang"), CHOSEN, run),)
