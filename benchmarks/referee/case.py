@@ -137,8 +137,8 @@ def mesh_of(shape: Shape, chord: float = 0.001) -> "trimesh.Trimesh":
     if shape == "box":
         corner = trimesh.creation.icosphere(subdivisions=4, radius=0.5).vertices
         at = np.array([(x, y, z) for x in (-3.5, 3.5) for y in (-3.5, 3.5) for z in (0.5, 9.5)])
-        hull = trimesh.convex.convex_hull((at[:, None] + corner).reshape(-1, 3))
-        return hull
+        rounded: trimesh.Trimesh = trimesh.convex.convex_hull((at[:, None] + corner).reshape(-1, 3))
+        return rounded
     if shape == "ball":
         profile = 4.0 * arc(4.0, -90.0, 90.0) + (0.0, 4.0)
     elif shape == "ring":
@@ -194,7 +194,7 @@ def _then(start: Pose, count: int, **to: float) -> tuple[Pose, ...]:
 def _slide(name: str, shape: Shape, depth: float, friction: float) -> Case:
     """Pressed in two frames, slid by 1 mm in four."""
     path = (*_press(depth / 2, depth), *_then(Pose(z=-depth), 4, x=1.0))
-    return Case(name, shape, friction, path, (1, 2, 5))
+    return Case(name, shape, friction, path, (1, 2, 5) if friction else (1, 5))  # without, it hardly changes on the way
 
 
 CASES = (

@@ -1,5 +1,6 @@
 """tacgen itself, at its three qualities."""
 
+import resource
 import tempfile
 import time
 from collections.abc import Sequence
@@ -9,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 import tacgen
-from benchmarks.reference_runs import forces_of, row_of, solve_frames
 from benchmarks.referee.case import PAD, Case, dots, spread
 from benchmarks.referee.player import Answer, NotPlayed
+from benchmarks.reference_runs import forces_of, row_of, solve_frames
 from tacgen.base.version import __version__
 from tacgen.mechanics import Problem, mesh, presolve
 from tacgen.outputs import gel_surface
@@ -72,12 +73,15 @@ class Tacgen:
             held = f"indenter={{shape: mesh, file: {folder}/held.stl}}"
             grasp = f"grasp={{mass_kg: {case.mass_kg:g}}}"
             moves = (f"trajectory=[{', '.join(path)}]", f"contact.friction={case.friction:g}")
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
             done = tacgen.run("quickstart", Path(folder, "out"), sets=(*PAD, held, grasp, *moves, *sets))
             if any(result.status != "ok" for result in done):
                 raise NotPlayed(done[0].reason)
-            left, right = tacgen.read_all(Path(folder, "out"))
-        force = (left.force * (-1, -1, 1) + right.force * (1, -1, -1))[list(case.judged)]
-        return Answer(force, np.zeros_like(force), float(sum(left["/frames/quality/seconds_solve"])))
+            left, right = (frames.force for frames in tacgen.read_all(Path(folder, "out")))
+            seconds = resource.getrusage(resource.RUSAGE_CHILDREN)
+        force = (left * (-1, -1, 1) + right * (1, -1, -1))[list(case.judged)]
+        spent = seconds.ru_utime + seconds.ru_stime - before.ru_utime - before.ru_stime
+        return Answer(force, np.zeros_like(force), spent / len(case.poses), {"quality": sets[-1].partition("=")[2]})
 
 
 PLAYERS = (Tacgen("tacgen", {name: name for name in ("default", "draft", "reference")}),)
