@@ -71,5 +71,6 @@ def _model(case: Case, how: Settings) -> Any:
     return spec.compile()
 
 
-TUNED = DEFAULT
+# The best of 18 trials of the presses of ball and edge and the slide with friction .8: their mean error 100 % to 25 %.
+TUNED = settings_at((7.23, 1.17, 1.72))
 PLAYERS = (Simulator("MuJoCo flex", ("mujoco",), ("mujoco",), {"default": DEFAULT, "tuned": TUNED}, run),)
