@@ -27,13 +27,11 @@ from tacgen.mechanics import mesh
 Array = np.ndarray
 PROGRAM = "ccx"
 STIFF = 1000.0  # penalty stiffness in Young's moduli per mm; 300 is faster, with an error of 0.2 %
-STICK = 1000.0  # tangential stiffness where friction sticks, in Young's moduli per mm
 RINGS, SECTORS = 40, 24  # facets of the ball of `press`, and of a quarter of it
 INCREMENTS = "0.25, 1., 1e-6, 0.5"  # first, total, smallest and largest step, as parts of a frame
-ROUGH_INCREMENTS = "0.1, 1., 1e-6, 0.25"  # with friction
 TOP_NODES = [4, 5, 6, 7, 12, 13, 14, 15]  # of a hex of 20 nodes
 SHELL_MM = 0.1  # thickness of the body's shell, which is rigid
-Symmetry = Literal["", "x", "y", "xy", "turn"]  # planes across x, y; turned by 90 degrees about z
+Symmetry = Literal["", "x", "y", "xy"]  # planes across x, y
 
 
 @dataclass(frozen=True)
@@ -101,20 +99,18 @@ def follow(
     axes: tuple[Array, Array, Array],
     body: Body,
     poses: Sequence[Array],
-    *,
-    friction: float = 0.0,
     symmetry: Symmetry = "",
 ) -> Followed:
-    """A body that follows `poses` (4, 4), a frame each, from its own frame, on a flat pad of one neo-Hookean layer,
-    whose mesh has the coordinates `axes` along x, y and z [mm]. With a symmetry these are of the part with positive x
-    or y, or both, and the body is whole or of a little more than that part.
+    """A body that follows `poses` (4, 4), a frame each, from its own frame, on a flat pad of one neo-Hookean layer
+    without friction; the pad's mesh has the coordinates `axes` along x, y and z [mm]. With a symmetry these are of the
+    part with positive x or y, or both, and the body is whole or of a little more than that part.
 
     Raises:
         UserError: CalculiX has not finished.
     """
     points, cells, top = _pad(gel, axes)
     path = np.array([body.vertices @ pose[:3, :3].T + pose[:3, 3] for pose in poses])
-    deck = _deck(gel, points, cells, top, body, path, friction, symmetry)
+    deck = _deck(gel, points, cells, top, body, path, symmetry)
     said, seconds = _run("\n".join(deck))
     forces, pulls, moved = (_printed(said, name, len(poses)) for name in ("BODY", "BASE", "FACE"))
     face = points[np.unique(cells[top][:, TOP_NODES])]
@@ -152,20 +148,18 @@ def _printed(said: str, name: str, frames: int) -> Array:
 
 def _whole(points: Array, vectors: Array, symmetry: Symmetry) -> tuple[Array, Array]:
     """Points and vectors (n, p, 3) of the whole pad from those of its part."""
-    flip_x, flip_y, turn = np.diag([-1.0, 1, 1]), np.diag([1.0, -1, 1]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    eye = np.eye(3)
+    eye, flip_x, flip_y = np.eye(3), np.diag([-1.0, 1, 1]), np.diag([1.0, -1, 1])
     copies = {
         "": [eye],
         "x": [eye, flip_x],
         "y": [eye, flip_y],
         "xy": [eye, flip_x, flip_y, flip_x @ flip_y],
-        "turn": [eye, turn, turn @ turn, turn.T],
     }[symmetry]
     return np.concatenate([points @ c.T for c in copies], 1), np.concatenate([vectors @ c.T for c in copies], 1)
 
 
 def _deck(
-    gel: GelBody, points: Array, cells: Array, top: Array, body: Body, path: Array, friction: float, symmetry: Symmetry
+    gel: GelBody, points: Array, cells: Array, top: Array, body: Body, path: Array, symmetry: Symmetry
 ) -> Iterator[str]:
     """The lines of the input file; path: places of the body's vertices (n, v, 3) in each frame."""
     law, E = gel.layers[0].law, gel.layers[0].youngs_modulus
@@ -188,8 +182,6 @@ def _deck(
     for name, nodes in sets.items():
         yield from (f"*NSET, NSET={name}", *(str(n + 1) for n in nodes))
     yield f"*NSET, NSET=BODY, GENERATE\n{outer}, {inner - 1}"
-    if symmetry == "turn":
-        yield from _turned(points, held["BASE"][0])
     yield from ("*SURFACE, NAME=FACE, TYPE=ELEMENT", *(f"{e + 1}, S2" for e in top))
     yield from ("*SURFACE, NAME=TOOL, TYPE=ELEMENT", "TOOL, S1")
     yield from ("*MATERIAL, NAME=GEL", "*HYPERELASTIC, NEO HOOKE", f"{law.mu / 2:.9g}, {2 / law.kappa:.9g}")
@@ -200,13 +192,11 @@ def _deck(
         "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR",
         f"{STIFF * E:.9g}",
     )
-    if friction:
-        yield from ("*FRICTION", f"{friction:.9g}, {STICK * E:.9g}")
     yield from ("*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "FACE, TOOL")
     yield from ("*BOUNDARY", *(f"{name}, {dofs}" for name, (_, dofs) in held.items()))
     turned = np.concatenate([path, path - SHELL_MM * _normals(body, path)], 1)
     for moved in turned - shell:
-        yield from ("*STEP, NLGEOM, INC=1000", "*STATIC", ROUGH_INCREMENTS if friction else INCREMENTS, "*BOUNDARY")
+        yield from ("*STEP, NLGEOM, INC=1000", "*STATIC", INCREMENTS, "*BOUNDARY")
         yield from (f"{outer + n}, {k + 1}, {k + 1}, {v:.9g}" for n, row in enumerate(moved) for k, v in enumerate(row))
         for name, what in (("BODY", "RF"), ("BASE", "RF"), ("FACE", "U")):
             yield f"*NODE PRINT, NSET={name}, FREQUENCY=100000\n{what}"
@@ -219,18 +209,6 @@ def _normals(body: Body, path: Array) -> Array:
     middle = body.vertices.mean(0)
     rotations = [np.linalg.lstsq(body.vertices - middle, at - at.mean(0), rcond=None)[0] for at in path]
     return np.array([body.normals @ turn for turn in rotations])
-
-
-def _turned(points: Array, base: Array) -> Iterator[str]:
-    """The gel's cut at x = 0 moves as that at y = 0, turned by 90 degrees."""
-    own = {tuple(np.round(points[n, [0, 2]], 6)): n for n in np.flatnonzero((np.abs(points[:, 1]) < 1e-9) & ~base)}
-    for p in np.flatnonzero((np.abs(points[:, 0]) < 1e-9) & ~base):
-        q = own[tuple(np.round(points[p, [1, 2]], 6))]
-        if p == q:  # on the axis
-            yield f"*BOUNDARY\n{p + 1}, 1, 2"
-            continue
-        for k, other, sign in ((1, 2, 1), (2, 1, -1), (3, 3, -1)):
-            yield f"*EQUATION\n2\n{p + 1}, {k}, 1., {q + 1}, {other}, {sign}."
 
 
 def _pad(gel: GelBody, axes: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

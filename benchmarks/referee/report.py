@@ -92,11 +92,9 @@ def tables(entries: Sequence[Entry]) -> list[Table]:
     rows: list[list[Cell]] = []
     for one in ran:
         numbers: list[Cell] = [float(how(v)) if (v := values(one, part)) else None for _, part, how in MEANS]
-        own = f"{len(one['cases']) - len(scores(one))} less" if one["player"] == OURS else ""
-        count = sum("not_played" not in case for case in one["cases"].values())
-        rows.append([one["player"], one["setting"], f"{count} {own}".strip(), *numbers, mean(one, "seconds")])
-    heads = columns("player", "setting", "cases", *(head for head, *_ in MEANS), "s a frame: .3g")
-    note = f"{OURS} has no score in the cases that it judges itself, which are taken off."
+        rows.append([one["player"], one["setting"], len(scores(one)), *numbers, mean(one, "seconds")])
+    heads = columns("player", "setting", "cases: d", *(head for head, *_ in MEANS), "s a frame: .3g")
+    note = f"{OURS} has no score in the cases that it judges itself."
     by_case: list[list[Cell]] = [
         [label(one), *(float(np.mean(one["cases"][c.name]["force"])) if c.name in scores(one) else None for c in CASES)]
         for one in ran
