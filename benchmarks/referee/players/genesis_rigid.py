@@ -1,9 +1,7 @@
 """Genesis: a rigid pad and a rigid shape with Genesis's own soft contact, whose stiffness is per mass of the shape and,
-as its constraints are pyramids of friction, falls with the square of friction.
-
-The shape hangs on six joints, whose position control yields less than .1 mm. Forces are those of `get_contacts`, at
-rest after a press and in motion after a slide or turn, since friction at rest creeps to 0. The box is free for a second
-between two closed pads. On a core, in double precision.
+as its constraints are pyramids of friction, falls with the square of friction. The shape hangs on six joints that are
+led by stiff control; the box is free for a second between two closed pads. Forces are those of `get_contacts`, at rest
+after a press and in motion after a slide or turn, since friction at rest creeps to 0. On a core, in double precision.
 """
 
 import tempfile
@@ -16,32 +14,23 @@ from typing import Any
 import numpy as np
 
 from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, STANDARD_GRAVITY_M_S2, Case
+from benchmarks.referee.engines import LEAST_FRICTION, begin_genesis
 from benchmarks.referee.player import Answer
 from benchmarks.referee.playing import FRAME_S, Settings, Simulator, answer, steps
 
 DEFAULT = {"sol_params": (0.02, 1.0, 0.9, 0.95, 0.001, 0.5, 2.0)}  # Genesis's own
 LOW, HIGH = (-2.5, 0.0, 0.0, 0.5, -4.0), (0.0, 1.0, 0.5, 1.0, -2.5)  # of the search
 STEP_S, RESTING, FREE = 0.01, 20, 100  # time step, Genesis's own [s]; steps at rest; of the free box
-LEAST_FRICTION = 0.01  # that Genesis takes
 STIFF = np.repeat([1e7, 1e3], 3)  # of the control [N/m, N m/rad]; damped by a step's worth
-JOINTS = ("slide:1 0 0", "slide:0 1 0", "slide:0 0 1", "hinge:0 1 0", "hinge:1 0 0", "hinge:0 0 1")
+JOINTS = zip(["slide"] * 3 + ["hinge"] * 3, ("1 0 0", "0 1 0", "0 0 1", "0 1 0", "1 0 0", "0 0 1"), strict=True)
+HELD = "".join(f'<joint name="{i}" type="{kind}" axis="{axis}"/>' for i, (kind, axis) in enumerate(JOINTS))
 MODEL = """<mujoco><compiler angle="radian"/><asset><mesh name="shape" file="shape.stl"/></asset><worldbody><body>
 {joints}<geom type="mesh" mesh="shape" {mass}/></body></worldbody></mujoco>"""
 
 
 def settings_at(x: Sequence[float]) -> dict[str, Any]:
-    """Settings of a point of the search: logs of contact's time constant [s] and damping ratio, impedance at no depth
-    and at a width, log of the width [m]."""
+    """Settings of a point of the search: logs of time constant [s] and damping ratio, impedances, log of width [m]."""
     return {"sol_params": (10 ** x[0], 10 ** x[1], x[2], x[3], 10 ** x[4], 0.5, 2.0)}
-
-
-def begin() -> Any:
-    """The package, on a core; it begins once a process."""
-    import genesis as gs
-
-    if not getattr(gs, "_initialized", False):
-        gs.init(backend=gs.cpu, precision="64", logging_level="error", seed=0)
-    return gs
 
 
 def run(case: Case, how: Settings) -> Answer:
@@ -50,6 +39,7 @@ def run(case: Case, how: Settings) -> Answer:
     scene.reset()
     for geom in scene.rigid_solver.geoms:
         geom.set_sol_params(np.array(how["sol_params"]))
+        geom.set_friction(max(case.friction, LEAST_FRICTION))
     found, start, free = [], time.process_time(), case.mass_kg > 0
     for number, (_, pose, judged) in enumerate(steps(case, round(FRAME_S / STEP_S), RESTING, creeping=True)):
         if not free:
@@ -67,29 +57,24 @@ def run(case: Case, how: Settings) -> Answer:
 @cache
 def _scene(case: Case) -> tuple[Any, Any]:
     """The scene, built, and the shape in it [m]; a grasp has two pads that are closed."""
-    gs, free = begin(), case.mass_kg > 0
-    gravity = (0, STANDARD_GRAVITY_M_S2 if free else 0, 0)
-    scene = gs.Scene(sim_options=gs.options.SimOptions(dt=STEP_S, gravity=gravity), show_viewer=False)
-    low = case.poses[-1].z / 1000 if free else 0.0
-    for middle in (-PAD_MM[2] / 2000, 0.01 + 2 * low + PAD_MM[2] / 2000)[: 1 + free]:
+    gs, free = begin_genesis(), case.mass_kg > 0
+    options = gs.options.SimOptions(dt=STEP_S, gravity=(0, STANDARD_GRAVITY_M_S2 * free, 0))
+    scene = gs.Scene(sim_options=options, show_viewer=False)
+    low, half = case.poses[-1].z / 1000 if free else 0.0, PAD_MM[2] / 2000
+    for middle in (-half, 0.01 + 2 * low + half)[: 1 + free]:
         scene.add_entity(gs.morphs.Box(size=tuple(np.array(PAD_MM) / 1000), pos=(0, 0, middle), fixed=True))
     with tempfile.TemporaryDirectory() as folder:
         case.mesh().apply_scale(0.001).export(Path(folder, "shape.stl"))
-        pairs = enumerate(joint.split(":") for joint in JOINTS)
-        joints = "".join(f'<joint name="{i}" type="{kind}" axis="{axis}"/>' for i, (kind, axis) in pairs)
         mass = f'mass="{case.mass_kg}"' if free else f'density="{DENSITY_KG_M3}"'
-        text = MODEL.format(joints='<freejoint name="free"/>' if free else joints, mass=mass)
-        Path(folder, "shape.xml").write_text(text)
-        shape = scene.add_entity(gs.morphs.MJCF(file=str(Path(folder, "shape.xml")), pos=(0, 0, low)))
+        Path(folder, "shape.xml").write_text(MODEL.format(joints="<freejoint/>" if free else HELD, mass=mass))
+        shape = scene.add_entity(gs.morphs.MJCF(file=f"{folder}/shape.xml", pos=(0, 0, low)))
         scene.build()
-    for geom in scene.rigid_solver.geoms:
-        geom.set_friction(max(case.friction, LEAST_FRICTION))
     if not free:
         shape.set_dofs_kp(STIFF)
         shape.set_dofs_kv(STEP_S * STIFF)
     return scene, shape
 
 
-TUNED = DEFAULT
-CHOSEN = {"default": DEFAULT, "tuned": TUNED}
-PLAYERS = (Simulator("Genesis rigid", ("genesis", "torch"), ("genesis-world", "quadrants"), CHOSEN, run),)
+# The best of 40 trials of all cases: their mean error, of which 10 is the most, from 540 % to 66 %.
+CHOSEN = {"default": DEFAULT, "tuned": {"sol_params": (0.0439, 2.605, 0.2524, 0.6876, 0.000204, 0.5, 2.0)}}
+PLAYERS = (Simulator("Genesis rigid", ("genesis", "torch"), ("genesis-world",), CHOSEN, run),)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, POISSONS, YOUNGS_MPA, Case
+from benchmarks.referee.engines import add_shape, contacts_on
 from benchmarks.referee.player import Answer, NotPlayed
-from benchmarks.referee.players.mujoco_rigid import add_shape, contacts_on
 from benchmarks.referee.playing import FRAME_S, Settings, Simulator, answer, place, speed, steps
 
 SOFT = {"solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "impratio": 1.0}  # MuJoCo's own

@@ -7,18 +7,18 @@ mj_contactForce. Contact is convex: the ring is 32 capsules. The box is free for
 
 import time
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, STANDARD_GRAVITY_M_S2, Array, Case
+from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, STANDARD_GRAVITY_M_S2, Case
+from benchmarks.referee.engines import add_shape, contacts_on
 from benchmarks.referee.player import Answer
 from benchmarks.referee.playing import FRAME_S, Settings, Simulator, answer, place, speed, steps
 
 DEFAULT = {"solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0)}  # MuJoCo's own
 LOW, HIGH = (4.0, 0.0, 0.0, 0.5, -4.0), (9.0, 3.0, 0.5, 1.0, -2.5)  # of the search
-GRASP_STEPS, CAPSULES = 500, 32  # steps of 2 ms of the free box; parts of the ring
+GRASP_STEPS = 500  # of 2 ms, of the free box
 
 
 def settings_at(x: Sequence[float]) -> dict[str, Any]:
@@ -59,41 +59,6 @@ def _model(case: Case, how: Settings) -> Any:
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=(0, 0, face + sign * half[2]))
     add_shape(spec, case, case.mass_kg).pos = (0, 0, case.poses[-1].z / 1000)
     return spec
-
-
-def add_shape(spec: Any, case: Case, mass_kg: float) -> Any:
-    """Add the shape [m] as a free body: a mesh, unless a primitive is exact or a convex hull would fill it."""
-    import mujoco
-
-    body, kinds = spec.worldbody.add_body(), mujoco.mjtGeom
-    body.add_freejoint(name="shape")
-    if case.shape == "ball":
-        body.add_geom(type=kinds.mjGEOM_SPHERE, size=(0.004, 0, 0), pos=(0, 0, 0.004))
-    elif case.shape == "ring":
-        turn = np.linspace(0, 2 * np.pi, CAPSULES + 1)
-        at = np.stack([3 * np.cos(turn), 3 * np.sin(turn), np.full(len(turn), 0.8)], -1) / 1000
-        for ends in pairwise(at):
-            body.add_geom(type=kinds.mjGEOM_CAPSULE, size=(0.0008, 0, 0), fromto=np.ravel(ends))
-    else:
-        mesh = case.mesh()
-        spec.add_mesh(name="shape", uservert=(mesh.vertices / 1000).ravel(), userface=mesh.faces.ravel())
-        body.add_geom(type=kinds.mjGEOM_MESH, meshname="shape")
-    for geom in body.geoms if mass_kg else ():
-        geom.mass = mass_kg / len(body.geoms)
-    return body
-
-
-def contacts_on(model: Any, data: Any) -> tuple[Array, Array]:
-    """Points (n, 3) [mm] of contact and forces (n, 3) [N] there on what is not the shape."""
-    import mujoco
-
-    points, forces, shape = np.zeros((data.ncon, 3)), np.zeros((data.ncon, 3)), model.joint("shape").bodyid[0]
-    for i, contact in enumerate(data.contact):
-        local, second = np.zeros(6), contact.geom[1]  # on which the force acts; -1 if it is a flex
-        mujoco.mj_contactForce(model, data, i, local)
-        sign = -1 if second >= 0 and model.geom_bodyid[second] == shape else 1
-        points[i], forces[i] = 1000 * contact.pos, sign * contact.frame.reshape(3, 3).T @ local[:3]
-    return points, forces
 
 
 TUNED = DEFAULT
