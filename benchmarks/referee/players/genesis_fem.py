@@ -1,12 +1,11 @@
-"""Genesis: the pad by its implicit FEM, a rigid shape led along the path, contact by its SAP coupler (hydroelastic), all
-as in its examples, with the pad's E, nu and density. Forces are the impulses of the coupler's contact. Lengths are 100
-times as long, forces 10 000 times as large, since the coupler leaves out contact of areas smaller than its constants;
-the shape then moves by at most 7 mm a step of 1/60 s, and rests. On a core, in double precision.
+"""Genesis: the pad by its implicit FEM, a rigid shape led along the path, contact by its SAP coupler (hydroelastic):
+all as in its examples, with the pad's E, nu and density. Forces are the impulses of the coupler's contact. Lengths are
+100 times as long, forces 10 000 times as large, since the coupler leaves out contact of areas smaller than its
+constants; the shape then moves by at most 7 mm a step of 1/60 s, and rests. On a core, in double precision.
 """
 
 import tempfile
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,8 +67,8 @@ def _scene(case: Case, young_factor: float, cell_mm: float) -> tuple[Any, Any]:
     pad = scene.add_entity(morph=box, material=gel)
     with tempfile.TemporaryDirectory() as folder:
         mesh = mesh_of(case.shape, CHORD_MM).copy().apply_scale(M_PER_MM)
-        mesh.export(Path(folder, "shape.obj"))
-        morph = gs.morphs.Mesh(file=str(Path(folder, "shape.obj")), decimate=False, convexify=False, align=False)
+        mesh.export(f"{folder}/shape.obj")
+        morph = gs.morphs.Mesh(file=f"{folder}/shape.obj", decimate=False, convexify=False, align=False)
         friction = {"friction": max(case.friction, LEAST_FRICTION), "coup_friction": case.friction}
         shape = scene.add_entity(morph=morph, material=gs.materials.Rigid(rho=HEAVY_KG / mesh.volume, **friction))
         scene.build()
