@@ -66,11 +66,11 @@ def _scene(case: Case, young_factor: float, cell_mm: float) -> tuple[Any, Any]:
     )  # fmt: skip
     pad = scene.add_entity(morph=box, material=gel)
     with tempfile.TemporaryDirectory() as folder:
-        mesh = mesh_of(case.shape, CHORD_MM).copy().apply_scale(M_PER_MM)
-        mesh.export(f"{folder}/shape.obj")
-        morph = gs.morphs.Mesh(file=f"{folder}/shape.obj", decimate=False, convexify=False, align=False)
-        friction = {"friction": max(case.friction, LEAST_FRICTION), "coup_friction": case.friction}
-        shape = scene.add_entity(morph=morph, material=gs.materials.Rigid(rho=HEAVY_KG / mesh.volume, **friction))
+        mesh, file = mesh_of(case.shape, CHORD_MM), f"{folder}/shape.obj"
+        mesh.export(file)
+        morph = gs.morphs.Mesh(file=file, scale=M_PER_MM, decimate=False, convexify=False, align=False)
+        known = {"friction": max(case.friction, LEAST_FRICTION), "rho": HEAVY_KG / mesh.volume / M_PER_MM**3}
+        shape = scene.add_entity(morph=morph, material=gs.materials.Rigid(coup_friction=case.friction, **known))
         scene.build()
     base = (pad.init_positions[:, 2] < -size[2] + 1e-6).nonzero()[:, 0]
     pad.set_vertex_constraints(base, pad.init_positions[base])
