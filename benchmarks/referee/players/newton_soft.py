@@ -1,5 +1,5 @@
 """Newton: the pad as a grid of soft tetrahedra by vertex block descent (SolverVBD), and a kinematic rigid shape, as in
-its examples of soft bodies, with the pad's moduli and density. Forces are what the solver says of contact (`contact_f`),
+its examples of soft bodies, with the pad's moduli and density. Forces are what the solver says of contact (contact_f),
 at rest after a press, and in motion after a slide or turn, since friction at rest creeps to 0.
 """
 
