@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -49,7 +49,7 @@ def symmetry(case: Case) -> calculix.Symmetry:
     return "xy" if moved <= {"z"} else "y" if moved <= {"z", "x"} else "x"
 
 
-def body(case: Case, planes: calculix.Symmetry) -> calculix.Body:
+def body(case: Case) -> calculix.Body:
     """The part of the case's shape that can touch the part of the gel that is solved. Facets are as much outside of the
     shape as inside."""
     import trimesh
@@ -65,7 +65,7 @@ def body(case: Case, planes: calculix.Symmetry) -> calculix.Body:
     lowest = np.min([corners @ pose.matrix[2, :3] + pose.z for pose in case.poses], 0).min(1)
     kept = (lowest < MAX_HEIGHT_MM) & (normals[whole.faces][..., 2] < 0.3).all(1)
     for axis, name in enumerate("xy"):
-        if name in planes:
+        if name in symmetry(case):
             kept &= corners[..., axis].max(1) > -FACET_MM
     sag = np.where(kept, 0.75 * shape.value(corners.mean(1)), 0.0)
     count = np.bincount(whole.faces.ravel(), np.repeat(kept, 3), len(vertices))
@@ -120,9 +120,12 @@ def axes(case: Case, planes: calculix.Symmetry, scale: float) -> tuple[Array, Ar
 
 def _solved(case: Case, scale: float) -> Answer:
     """A case without friction by CalculiX."""
-    planes, poses = symmetry(case), [pose.matrix for pose in case.poses]
-    found = calculix.follow(pad(), axes(case, planes, scale), body(case, planes), poses, symmetry=planes)
-    frames = list(case.judged)
+    planes, tool, poses, frames = symmetry(case), body(case), case.poses, list(case.judged)
+    if way := case.poses[-1].x:  # without friction it ends as a press there, in which CalculiX fails less often
+        tool = replace(tool, vertices=tool.vertices + np.array([way, 0.0, 0.0]))
+        poses, frames = tuple(pose for pose in poses if not pose.x), [-1]
+    path = [pose.matrix for pose in poses]
+    found = calculix.follow(pad(), axes(case, planes, scale), tool, path, symmetry=planes)
     maps = [spread(found.points[k], found.forces[k]) for k in frames]
     pressure, traction = (np.array(part) for part in zip(*maps, strict=True))
     markers = np.array([LinearNDInterpolator(found.face[:, :2], found.moved[k, :, :2])(dots()) for k in frames])
