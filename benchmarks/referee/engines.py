@@ -1,4 +1,4 @@
-"""What the players of one engine share: MuJoCo's shapes and contacts, and Genesis's beginning."""
+"""Parts that players of one engine share: MuJoCo's shapes and contacts, and Genesis's beginning."""
 
 from itertools import pairwise
 from typing import Any
@@ -20,6 +20,13 @@ def begin_genesis() -> Any:
     return gs
 
 
+def in_metres(case: Case) -> Any:
+    """The case's mesh [m]."""
+    mesh = case.mesh()
+    mesh.vertices /= 1000
+    return mesh
+
+
 def add_shape(spec: Any, case: Case, mass_kg: float) -> Any:
     """Add the shape [m] as a free body: a mesh, unless a primitive is exact or a convex hull would fill it."""
     import mujoco
@@ -34,8 +41,8 @@ def add_shape(spec: Any, case: Case, mass_kg: float) -> Any:
         for ends in pairwise(at):
             body.add_geom(type=kinds.mjGEOM_CAPSULE, size=(0.0008, 0, 0), fromto=np.ravel(ends))
     else:
-        mesh = case.mesh()
-        spec.add_mesh(name="shape", uservert=(mesh.vertices / 1000).ravel(), userface=mesh.faces.ravel())
+        mesh = in_metres(case)
+        spec.add_mesh(name="shape", uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
         body.add_geom(type=kinds.mjGEOM_MESH, meshname="shape")
     for geom in body.geoms if mass_kg else ():
         geom.mass = mass_kg / len(body.geoms)

@@ -1,4 +1,4 @@
-"""What players of other simulators share: how they are described, paths in steps, and forces at points."""
+"""Helpers that players of other simulators share: how they are described, paths in steps, and forces at points."""
 
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping

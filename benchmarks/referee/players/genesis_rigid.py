@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.referee.case import DENSITY_KG_M3, PAD_MM, STANDARD_GRAVITY_M_S2, Case
-from benchmarks.referee.engines import LEAST_FRICTION, begin_genesis
+from benchmarks.referee.engines import LEAST_FRICTION, begin_genesis, in_metres
 from benchmarks.referee.player import Answer
 from benchmarks.referee.playing import FRAME_S, Settings, Simulator, answer, steps
 
@@ -24,7 +24,7 @@ STEP_S, RESTING, FREE = 0.01, 20, 100  # time step, Genesis's own [s]; steps at 
 STIFF = np.repeat([1e7, 1e3], 3)  # of the control [N/m, N m/rad]; damped by a step's worth
 JOINTS = zip(["slide"] * 3 + ["hinge"] * 3, ("1 0 0", "0 1 0", "0 0 1", "0 1 0", "1 0 0", "0 0 1"), strict=True)
 HELD = "".join(f'<joint name="{i}" type="{kind}" axis="{axis}"/>' for i, (kind, axis) in enumerate(JOINTS))
-MODEL = """<mujoco><compiler angle="radian"/><asset><mesh name="shape" file="shape.stl" scale=".001 .001 .001"/></asset>
+MODEL = """<mujoco><compiler angle="radian"/><asset><mesh name="shape" file="shape.stl"/></asset>
 <worldbody><body>{joints}<geom type="mesh" mesh="shape" {mass}/></body></worldbody></mujoco>"""
 
 
@@ -64,7 +64,7 @@ def _scene(case: Case) -> tuple[Any, Any]:
     for middle in (-half, 0.01 + 2 * low + half)[: 1 + free]:
         scene.add_entity(gs.morphs.Box(size=tuple(np.array(PAD_MM) / 1000), pos=(0, 0, middle), fixed=True))
     with tempfile.TemporaryDirectory() as folder:
-        case.mesh().export(Path(folder, "shape.stl"))
+        in_metres(case).export(Path(folder, "shape.stl"))
         mass = f'mass="{case.mass_kg}"' if free else f'density="{DENSITY_KG_M3}"'
         Path(folder, "shape.xml").write_text(MODEL.format(joints="<freejoint/>" if free else HELD, mass=mass))
         shape = scene.add_entity(gs.morphs.MJCF(file=f"{folder}/shape.xml", pos=(0, 0, low)))
