@@ -7,8 +7,7 @@ import numpy as np
 
 from benchmarks.referee.case import Array, Case
 
-CAPSULES = 32  # of MuJoCo's ring
-LEAST_FRICTION = 0.01  # that Genesis takes
+CAPSULES, LEAST_FRICTION = 32, 0.01  # of MuJoCo's ring; that Genesis takes
 
 
 def begin_genesis() -> Any:
