@@ -2,6 +2,4 @@
 
 from benchmarks.referee.players.tacgen_player import Tacgen
 
-PLAYERS = (
-    Tacgen("linear tets", {"default": "default", "fine": "{edge_mm: 0.25, dhat_mm: 0.02}"}, ("mesh=linear_tet",)),
-)
+PLAYERS = (Tacgen("linear tets", {"default": "default"}, ("mesh=linear_tet",)),)
