@@ -14,7 +14,6 @@ from benchmarks.referee.player import Answer
 
 Settings: TypeAlias = Mapping[str, Any]
 FRAME_S = 0.1  # a player with inertia takes this long from a frame to the next: at most 6 mm/s [s]
-CLEAR_MM = 0.05  # above the face, where a path begins that has no clearance of its own
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Simulator:
 def steps(case: Case, moving: int, resting: int, *, creeping: bool = False) -> Iterator[tuple[Pose, Pose, bool]]:
     """Each step of a path: the pose before it, the pose after it, and whether a judged frame is reached. `moving`
     equal steps lead to it, then `resting` steps at rest: none after a slide or turn if friction is `creeping`."""
-    last = before = Pose(z=max(case.clearance, CLEAR_MM))
+    last = before = Pose(z=max(case.clearance, 0.05))  # just above the face
     for frame, pose in enumerate(case.poses):
         along = (before.x, before.y, *before[3:]) != (pose.x, pose.y, *pose[3:])
         parts = (np.arange(moving) + 1) / moving
@@ -66,8 +65,7 @@ def place(pose: Pose, metres: float = 0.001) -> Array:
 def speed(before: Pose, now: Pose, seconds: float) -> Array:
     """Velocity [m/s] in the sensor's frame and turning rate [rad/s] in the shape's own (6,), from a pose to another."""
     old, new = (Rotation.from_matrix(pose.matrix[:3, :3]) for pose in (before, now))
-    moved = np.subtract(now[:3], before[:3]) / 1000
-    return np.array([*moved, *(old.inv() * new).as_rotvec()]) / seconds
+    return np.array([*np.subtract(now[:3], before[:3]) / 1000, *(old.inv() * new).as_rotvec()]) / seconds
 
 
 def answer(found: list[tuple[Array, Array]], seconds: float, how: Settings) -> Answer:

@@ -18,11 +18,9 @@ from benchmarks.referee.case import CASES, Array, Case
 from benchmarks.referee.player import NotPlayed
 from benchmarks.referee.playing import Settings
 from benchmarks.referee.score import score
-from benchmarks.results_page import Say
 from tacgen.base.terminal import say
 
-WORST = 10.0  # an error is not counted as more: 1 is that of saying 0
-SEED = 0  # of the first half of the trials
+WORST, SEED = 10.0, 0  # an error is not counted as more, where 1 is that of saying 0; of the first half of the trials
 
 
 def error(module: Any, cases: Sequence[Case], settings: Settings) -> float:
@@ -37,18 +35,16 @@ def error(module: Any, cases: Sequence[Case], settings: Settings) -> float:
     return float(np.mean(means))
 
 
-def search(module: Any, cost: Callable[[Settings], float], trials: int, tell: Say) -> Settings:
+def search(module: Any, cost: Callable[[Settings], float], trials: int, tell: Callable[[str], None]) -> Settings:
     """The best settings of `trials`: half of them spread evenly between the module's LOW and HIGH, then from the best
     of these by Nelder and Mead."""
     low, high = np.array(module.LOW), np.array(module.HIGH)
 
     def at(x: Array) -> Settings:
-        found: Settings = module.settings_at((low + (high - low) * np.clip(x, 0, 1)).tolist())
-        return found
+        return dict(module.settings_at((low + (high - low) * np.clip(x, 0, 1)).tolist()))
 
     def told(x: Array) -> float:
-        found = cost(at(x))
-        tell(f"{found:.4f} {dict(at(x))}")
+        tell(f"{(found := cost(at(x))):.4f} {at(x)}")
         return found
 
     spread = qmc.Halton(len(low), rng=SEED).random(trials // 2)
