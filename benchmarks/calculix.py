@@ -123,7 +123,7 @@ def follow(
 
 
 def _run(deck: str) -> tuple[str, float]:
-    """What the program prints of an input file, and its processor seconds."""
+    """Run an input file: what the program prints, and its processor seconds."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "path.inp").write_text(deck)
         before = resource.getrusage(resource.RUSAGE_CHILDREN)

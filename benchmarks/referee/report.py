@@ -157,6 +157,8 @@ def first(entries: Sequence[Entry]) -> str:
     worst = max(errors, key=lambda name: errors[name])
     text = f"At default quality tacgen's forces are off by {np.mean(list(errors.values())):.1%} in the mean of the"
     text += f" {len(errors)} cases that others judge, and most in `{worst}`: {errors[worst]:.1%}."
+    sure = sum(bool(one["resolved"]) for one in scores(ours).values())
+    text += f" The reference is ten times as sure as that in {sure} of them: the other errors are not resolved."
     others = {name: one for name, one in ran.items() if one["player"] != OURS}
     lost = []
     for name, error in errors.items():
@@ -164,10 +166,10 @@ def first(entries: Sequence[Entry]) -> str:
         if better and (least := min(better.values())) < error:
             lost.append(f"`{name}` ({_who(better, least)}: {least:.1%} against {error:.1%})")
     text += f" It is beaten in {', '.join(lost)}." if lost else " No other player is nearer in any of them."
-    faster = [f"{who} ({mean(one, 'seconds'):.2g} s)" for who, one in others.items()
+    faster = [f"{who} ({seconds(one):.2g} s)" for who, one in others.items()
               if seconds(one) < seconds(ours)]  # fmt: skip
     if faster:
-        text += f" Faster a frame than its {mean(ours, 'seconds'):.2g} s: {', '.join(faster)}."
+        text += f" Faster a frame than its {seconds(ours):.2g} s: {', '.join(faster)}."
     return text
 
 
