@@ -7,6 +7,7 @@ the mean error of its forces is least.
 import argparse
 import importlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -27,11 +28,9 @@ def error(module: Any, cases: Sequence[Case], settings: Settings) -> float:
     """Mean over the cases that a player plays of the mean error of its forces, as a part of them."""
     means = []
     for case in cases:
-        try:
+        with suppress(NotPlayed):
             off = score(case, module.run(case, settings), reference.kept()[case.name]).force
-        except NotPlayed:
-            continue
-        means.append(np.nan_to_num(np.minimum(off, WORST), nan=WORST).mean())
+            means.append(np.nan_to_num(np.minimum(off, WORST), nan=WORST).mean())
     return float(np.mean(means))
 
 
