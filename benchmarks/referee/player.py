@@ -16,7 +16,7 @@ class NotPlayed(Exception):
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer of a player in the n frames that a case judges. All forces are ON THE GEL, in the sensor's frame, z out
+    """A player's answer in the n frames that a case judges. All forces are ON THE GEL, in the sensor's frame, z out
     of the gel: those of a press have a negative z.
 
     force (n, 3) [N]; torque (n, 3) [N mm] about the origin, the lowest point of the untouched contact; seconds of
