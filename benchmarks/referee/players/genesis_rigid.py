@@ -75,6 +75,6 @@ def _scene(case: Case) -> tuple[Any, Any]:
     return scene, shape
 
 
-# The best of 40 trials of all cases: their mean error, of which 10 is the most, from 540 % to 66 %.
+# The best of 40 trials of all cases: their mean error, of which 10 is the most, from 540 % to 62 %.
 CHOSEN = {"default": DEFAULT, "tuned": {"sol_params": (0.0439, 2.605, 0.2524, 0.6876, 0.000204, 0.5, 2.0)}}
 PLAYERS = (Simulator("Genesis rigid", ("genesis", "torch"), ("genesis-world",), CHOSEN, run),)

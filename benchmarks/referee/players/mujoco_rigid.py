@@ -61,6 +61,6 @@ def _model(case: Case, how: Settings) -> Any:
     return spec
 
 
-# The best of 200 trials of all cases: their mean error, of which 10 is the most, from 84 % to 53 %.
+# The best of 200 trials of all cases: their mean error, of which 10 is the most, from 86 % to 51 %.
 TUNED = {"solref": (-1.92e6, -1.507e5), "solimp": (0.2125, 0.6038, 0.000979, 0.5, 2.0)}
 PLAYERS = (Simulator("MuJoCo rigid", ("mujoco",), ("mujoco",), {"default": DEFAULT, "tuned": TUNED}, run),)
