@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("numpy", "scipy", "warp-lang", "cvxopt", "pymetis", "mitsuba", "drjit", "h5py")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
 MARKERS = "osD^vPX*"  # one more than colours, so that the eighth series differs from the first
-LONGEST = 140  # words of a table on the page: longer ones stay in the JSON, which the page names
+LONGEST = 109  # words of a table on the page: longer ones stay in the JSON, which the page names
 CHILD = """
 import importlib, json, sys
 module, name = sys.argv[1].split(":")
@@ -288,9 +288,9 @@ def _section(found: dict[str, Any], folder: Path, home: Path) -> list[str]:
         picture = (folder / f"{found['bench']}.png").relative_to(home)
         parts.append(f"![{found['bench']}]({picture.as_posix()})")
     for table in found["tables"]:
-        grid = _grid(table)
-        long = len(grid.replace("|", " ").split()) > LONGEST
-        parts += [f"### {table['title']}", _left_out(table, folder / f"{found['bench']}.json") if long else grid]
+        drawn = grid(table)
+        long = len(drawn.replace("|", " ").split()) > LONGEST
+        parts += [f"### {table['title']}", _left_out(table, folder / f"{found['bench']}.json") if long else drawn]
         if table["note"] and not long:
             parts.append(table["note"])
     return parts
@@ -301,7 +301,8 @@ def _left_out(table: dict[str, Any], source: Path) -> str:
     return f"{len(table['rows'])} rows in `{source.parent.name}/{source.name}`: {columns}."
 
 
-def _grid(table: dict[str, Any]) -> str:
+def grid(table: dict[str, Any]) -> str:
+    """A table of a result's JSON as Markdown."""
     heads = list(table["columns"])
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in table["rows"]:

@@ -139,7 +139,8 @@ READERS = {
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EXTENDING.md says
-LINES_BESIDE = 5830  # of benchmarks/ and scripts/ together
+LINES_BESIDE = 5930  # of benchmarks/ and scripts/ together, without the referee
+LINES_OF_REFEREE, LINES_OF_PLAYER = 1000, 80  # of the referee without its players, and of each player
 NOT_NUMPY = {
     *(
         "cli.main",
@@ -275,7 +276,7 @@ def test_only_tensor_packages_need_pytorch_and_others_import_them_inside_functio
 
 
 def test_a_file_is_one_idea() -> None:
-    every = [*files().values(), *beside()]
+    every = [*files().values(), *beside(), *referee()[0]]
     assert [path.name for path in every if len(text_of(path).splitlines()) > 400] == []
 
 
@@ -288,6 +289,19 @@ def test_benches_and_scripts_keep_to_their_lines() -> None:
     """A bench earns its place by figures of README.md or docs/RESULTS.md, a script by a file that ships; a program that
     has answered its question goes."""
     assert sum(len(text_of(path).splitlines()) for path in beside()) <= LINES_BESIDE
+
+
+def referee() -> tuple[list[Path], list[Path]]:
+    """The files of the referee, and of its players."""
+    folder = ROOT / "benchmarks" / "referee"
+    return sorted(folder.glob("*.py")), sorted((folder / "players").glob("*.py"))
+
+
+def test_the_referee_is_small_and_a_player_smaller() -> None:
+    own, players = referee()
+    lines = {path: len(text_of(path).splitlines()) for path in (*own, *players)}
+    assert sum(lines[path] for path in own) <= LINES_OF_REFEREE
+    assert {path.name: lines[path] for path in players if lines[path] > LINES_OF_PLAYER} == {}
 
 
 def loaded_by(code: str) -> set[str]:
@@ -423,7 +437,9 @@ def test_only_one_module_prints_results() -> None:
 def test_a_docstring_stands_alone() -> None:
     """It says what the thing is: no reader has read the one above."""
     wrong = []
-    for name, path in {**files(), **{f"{path.parent.name}.{path.stem}": path for path in beside()}}.items():
+    own, players = referee()
+    others = {f"{path.parent.name}.{path.stem}": path for path in (*beside(), *own, *players)}
+    for name, path in {**files(), **others}.items():
         nodes = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef))
         begun = [text for node in nodes if (text := ast.get_docstring(node) or "")]
         unclear = ("The same", "Those", "What ", "Of ")

@@ -121,8 +121,11 @@ def log_of(name: str, arrays: Arrays, how: Conventions, environment: int | None)
     known = next((force for force in layout.forces if force.name in arrays), None)
     force = None if known is None else _force(known, arrays, rows)
     friction = known is None or known.total or known.friction in arrays
+    torque = None
+    if force is not None and layout.torque in arrays:
+        torque = _bounded(layout.torque, rows(layout.torque, 3) * scale)
     name = name if environment is None else f"{name}-env-{environment}"
-    return ContactLog(name, np.arange(len(time)), time, body, sensor, force, friction)
+    return ContactLog(name, np.arange(len(time)), time, body, sensor, force, friction, torque)
 
 
 def _force(known: Force, arrays: Arrays, rows: Callable[[str, int], Array]) -> Array:
@@ -132,9 +135,14 @@ def _force(known: Force, arrays: Arrays, rows: Callable[[str, int], Array]) -> A
         if arrays[known.friction].shape != arrays[known.name].shape:
             raise ValueError(f"{known.friction} has another shape than {known.name}: record both for the same body")
         force = force + np.nan_to_num(rows(known.friction, 3))  # nan where nothing touches
-    if (wrong := ~(np.abs(force) < MAX_TABLE_VALUE)).any():  # nan, too
-        raise ValueError(f"{known.name} must be numbers, and is not in row {_first(wrong)} (below {MAX_TABLE_VALUE:g})")
-    return force
+    return _bounded(known.name, force)
+
+
+def _bounded(name: str, values: Array) -> Array:
+    """Values (n, 3), if all are numbers of a usual size."""
+    if (wrong := ~(np.abs(values) < MAX_TABLE_VALUE)).any():  # nan, too
+        raise ValueError(f"{name} must be numbers, and is not in row {_first(wrong)} (below {MAX_TABLE_VALUE:g})")
+    return values
 
 
 def _said(what: str, option: str, arrays: Arrays, usual: str, known: tuple[str, ...]) -> str:

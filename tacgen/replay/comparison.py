@@ -1,4 +1,4 @@
-"""Forces of another simulator beside tacgen's on the same frames: a table, a summary, a figure.
+"""Forces and torques of another simulator beside tacgen's on the same frames: a table, a summary, a figure.
 
 All forces are on the gel, in the sensor's frame: x right and y down in the image, z out of the gel. The normal force is
 -z, positive in compression.
@@ -22,6 +22,7 @@ from tacgen.replay.contact_log import ContactLog
 Array = np.ndarray
 STD_PATH = "/frames/uncertainty/force"
 MIN_CONTACT_FORCE_N = 1e-3  # smallest force that counts as contact [N]
+MIN_TORQUE_N_MM = 1e-3  # smallest torque that errors are divided by [N mm]
 HALF_90_PER_STD = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
 COMPARISON_FILES = ("forces.csv", "forces.txt", "forces.png")
 MAX_PRINTED_FRAMES = 12  # frames of a log that are printed
@@ -39,6 +40,7 @@ class Compared:
     torque: Array  # (n, 3) on the gel about the sensor's origin, by tacgen [N mm]
     std: Array | None  # standard deviation of `ours`
     theirs: Array | None  # None: the log has no force
+    their_torque: Array | None = None  # as `torque`, by the simulator; None: the log has none
 
     @property
     def contact(self) -> Array:
@@ -68,6 +70,14 @@ class Compared:
             if self.std is not None:
                 off, sure = np.abs(self.theirs - self.ours)[:, 2], HALF_90_PER_STD * self.std[:, 2]
                 found["inside_90"] = float((off <= sure)[self.contact].mean()) if self.contact.any() else None
+        if self.their_torque is not None:
+            size, theirs = (np.linalg.norm(part, axis=1) for part in (self.torque, self.their_torque))
+            most = int(np.argmax(size))
+            error = float(np.sqrt(((self.their_torque - self.torque) ** 2).sum(1).mean()))
+            found["torque"] = {
+                "ours_nmm": float(size[most]), "theirs_nmm": float(theirs[most]), "rms_error_nmm": error,
+                "relative": error / rms if (rms := float(np.sqrt((size**2).mean()))) > MIN_TORQUE_N_MM else None,
+            }  # fmt: skip
         return found
 
 
@@ -81,14 +91,18 @@ def _errors(ours: Array, theirs: Array, axes: list[int]) -> dict[str, float | No
 def compare(log: ContactLog, bundle: Bundle, sensor_pose: Placement) -> Compared:
     """The frames of a bundle beside the rows of the log that it replays, one for each."""
     done = log.some(np.arange(bundle.frames))
-    theirs = None
+    theirs = their_torque = None
     if done.force is not None:
         mount = pose_table.matrices([sensor_pose.position_mm], [sensor_pose.quaternion])
         turned = (mount if done.sensor is None else done.sensor @ mount)[:, :3, :3]
-        theirs = np.einsum("nji,nj->ni", np.broadcast_to(turned, (len(done), 3, 3)), done.force)
+        turned = np.broadcast_to(turned, (len(done), 3, 3))
+        theirs = np.einsum("nji,nj->ni", turned, done.force)
+        if done.torque is not None:  # from the origin of the body to the sensor's
+            arm = mount[:, :3, 3] if done.sensor is None else (done.sensor[:, :3, :3] @ mount[0, :3, 3])
+            their_torque = np.einsum("nji,nj->ni", turned, done.torque - np.cross(arm, done.force))
     force, torque = bundle["/frames/force"], bundle["/frames/torque"]
     std = bundle[STD_PATH] if STD_PATH in bundle.shapes else None
-    return Compared(done, bundle.path.stem, str(bundle.attrs["reason"]), force, torque, std, theirs)
+    return Compared(done, bundle.path.stem, str(bundle.attrs["reason"]), force, torque, std, theirs, their_torque)
 
 
 def table(found: Sequence[Compared]) -> str:
@@ -97,11 +111,13 @@ def table(found: Sequence[Compared]) -> str:
     lines = csv.writer(out, lineterminator="\n")
     groups = ("force", "std", "simulator", "error")
     named = [f"{group}_{axis}_n" for group in groups for axis in FORCE_AXES]
-    lines.writerow(["log", "scene", "frame", "row", "time_s", *named, *(f"torque_{axis}_nmm" for axis in FORCE_AXES)])
+    turning = ("torque", "simulator_torque")
+    named += [f"{group}_{axis}_nmm" for group in turning for axis in FORCE_AXES]
+    lines.writerow(["log", "scene", "frame", "row", "time_s", *named])
     for one in found:
         nothing = np.full((len(one.ours), 3), np.nan)
-        std, theirs = (nothing if part is None else part for part in (one.std, one.theirs))
-        numbers = np.hstack([one.ours, std, theirs, theirs - one.ours, one.torque])
+        std, theirs, turned = (nothing if part is None else part for part in (one.std, one.theirs, one.their_torque))
+        numbers = np.hstack([one.ours, std, theirs, theirs - one.ours, one.torque, turned])
         time = csv_table.numerals(one.log.time.tolist(), 9)
         for k, values in enumerate(numbers.tolist()):
             cells = ["" if value != value else f"{value:.6g}" for value in values]  # nan: not known
@@ -122,6 +138,13 @@ def text(found: Sequence[Compared]) -> str:
         *([one["log"], *_cells(one, "tangential")] for one in every),
     ]
     lines += aligned(rows)
+    if turned := [(one["log"], one["torque"]) for one in every if "torque" in one]:
+        lines += ["torque about the sensor's origin [N mm]: the same"]
+        rows = [["log", "tacgen", "simulator", "rms error", "of tacgen's rms"]]
+        for name, part in turned:
+            ratio = "-" if part["relative"] is None else f"{100 * part['relative']:.1f} %"
+            rows.append([name, *(f"{part[key]:.3g}" for key in ("ours_nmm", "theirs_nmm", "rms_error_nmm")), ratio])
+        lines += aligned(rows)
     lines += [f"{one.log.name}: {one.reason}" for one in found if one.reason]
     if len(found) == 1 and len(found[0].ours):
         lines += [

@@ -50,12 +50,15 @@ class ContactLog:
     sensor: Array | None  # (n, 4, 4) pose of the sensor's body [mm]; None: it is not recorded
     force: Array | None  # (n, 3) on the sensor, world frame [N]; None: it is not recorded
     friction: bool  # whether the force includes friction
+    # (n, 3) on the sensor about the origin of its body, world frame [N mm]; None: it is not recorded
+    torque: Array | None = None
 
     def __len__(self) -> int:
         return len(self.row)
 
     def some(self, which: Array) -> "ContactLog":
         """The rows of these places."""
-        sensor, force = (None if part is None else part[which] for part in (self.sensor, self.force))
+        parts = (self.sensor, self.force, self.torque)
+        sensor, force, torque = (None if part is None else part[which] for part in parts)
         row, time, body = (part[which] for part in (self.row, self.time, self.body))
-        return replace(self, row=row, time=time, body=body, sensor=sensor, force=force)
+        return replace(self, row=row, time=time, body=body, sensor=sensor, force=force, torque=torque)

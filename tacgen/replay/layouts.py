@@ -35,6 +35,7 @@ class Layout(NamedTuple):
     forces: tuple[Force, ...]
     quaternion: str = ""  # wxyz or xyzw; empty: the file or the user says
     units: str = ""  # m or mm; empty: the file or the user says
+    torque: str = ""  # of the whole contact, about the origin of the sensor's body; empty: the simulator has none
 
     def names_of_object(self, there: Container[str]) -> Names:
         """The arrays `there` that give the object's pose."""
@@ -50,7 +51,7 @@ class Layout(NamedTuple):
         poses = (*self.position, *self.rotation, *self.pose)
         sensors = (*self.sensor_position, *self.sensor_rotation, *self.sensor_pose)
         forces = (name for force in self.forces for name in (force.name, force.friction))
-        return {"time", "quaternion", "units", *poses, *sensors, *forces}
+        return {"time", "quaternion", "units", self.torque, *poses, *sensors, *forces} - {""}
 
     @property
     def half_of_sensor(self) -> tuple[str, ...]:
@@ -62,7 +63,7 @@ LOG_LAYOUTS = {
     "tacgen": Layout(
         ("object_position",), ("object_quaternion",), ("object_pose",),
         ("sensor_position",), ("sensor_quaternion",), ("sensor_pose",),
-        (Force("force", total=True),),
+        (Force("force", total=True),), torque="torque",
     ),
     # ContactSensorData and RigidObjectData. Quaternions are w x y z up to Isaac Lab 2, x y z w from 3.0 on. Before 3.0,
     # and with PhysX before 6.2, net_forces_w and force_matrix_w are normal forces alone.
@@ -78,10 +79,10 @@ LOG_LAYOUTS = {
         ),
         units="m",
     ),
-    # mjData.xpos and xquat of the two bodies, and the sum of mj_contactForce over their contacts
+    # mjData.xpos and xquat of the two bodies, and the sums of mj_contactForce over their contacts and of its torques
     "mujoco": Layout(
         ("xpos",), ("xquat",), (), ("sensor_xpos",), ("sensor_xquat",), (),
-        (Force("force", total=True),), "wxyz", "m",
+        (Force("force", total=True),), "wxyz", "m", "torque",
     ),
     # State.body_q: position, then quaternion x y z w; SensorContact gives the force on its sensing object
     "newton": Layout(

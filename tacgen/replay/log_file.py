@@ -74,12 +74,13 @@ def _of_table(path: Path, how: Conventions) -> ContactLog:
 
 
 def _oriented(log: ContactLog, how: Conventions) -> ContactLog:
-    """A log with its force on the sensor, in the world frame."""
+    """A log with its force and torque on the sensor, in the world frame."""
     if log.force is None:
         return log
-    force = -log.force if how.force_on == "object" else log.force
+    parts = [part if part is None or how.force_on == "sensor" else -part for part in (log.force, log.torque)]
     if how.force_frame == "sensor":
         if log.sensor is None:
             raise UserError(f"{log.name}: --force-frame sensor: the log has no pose of the sensor to turn forces by")
-        force = np.einsum("nij,nj->ni", log.sensor[:, :3, :3], force)
-    return replace(log, force=force)
+        turn = log.sensor[:, :3, :3]
+        parts = [None if part is None else np.einsum("nij,nj->ni", turn, part) for part in parts]
+    return replace(log, force=parts[0], torque=parts[1])

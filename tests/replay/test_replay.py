@@ -60,6 +60,10 @@ class World:
         self.ball = self.face @ relative @ centre
         whole = np.concatenate([np.zeros((3, 3)), ERROR * self.force])
         self.world_force = np.einsum("nij,nj->ni", self.face[:, :3, :3], whole)
+        self.torque = bundle["/frames/torque"]
+        turned = np.concatenate([np.zeros((3, 3)), ERROR * self.torque])
+        arm = self.face[:, :3, 3] - self.sensor[:, :3, 3]
+        self.world_torque = np.einsum("nij,nj->ni", self.face[:, :3, :3], turned) + np.cross(arm, self.world_force)
 
     def save(self, path: Path) -> Path:
         """The log, in m and with quaternions x y z w."""
@@ -71,6 +75,7 @@ class World:
             sensor_position=self.sensor[:, :3, 3] / 1000,
             sensor_quaternion=Rotation.from_matrix(self.sensor[:, :3, :3]).as_quat(),
             force=self.world_force,
+            torque=self.world_torque / 1000,
         )
         return path
 
@@ -106,13 +111,19 @@ def test_the_error_of_a_simulator_is_found_to_rounding(world: World, recipe: Pat
     assert found["normal"]["theirs_n"] / found["normal"]["ours_n"] == pytest.approx(ERROR, rel=1e-3)
     assert found["normal"]["relative"] == pytest.approx(ERROR - 1, abs=2e-3)
     assert found["tangential"]["relative"] == pytest.approx(ERROR - 1, abs=2e-3)
+    size = np.linalg.norm(world.torque, axis=1).max()
+    assert found["torque"]["ours_nmm"] == pytest.approx(size, rel=1e-3)
+    assert found["torque"]["relative"] == pytest.approx(ERROR - 1, abs=2e-3)
     with (out / "forces.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["row"]) for row in rows] == [2, 3, 4, 5, 6]
     for column, wanted in (("force", world.force), ("simulator", ERROR * world.force), ("std", world.std)):
         read_back = [[float(row[f"{column}_{axis}_n"]) for axis in "xyz"] for row in rows[1:]]
         assert np.array(read_back) == pytest.approx(wanted, abs=2e-3), column
+    turned = [[float(row[f"simulator_torque_{axis}_nmm"]) for axis in "xyz"] for row in rows[1:]]
+    assert np.array(turned) == pytest.approx(ERROR * world.torque, abs=2e-3 * size)
     assert (out / "forces.png").stat().st_size > 10_000
+    assert "torque about the sensor's origin [N mm]" in (out / "forces.txt").read_text()
     assert "normal force [N]" in (out / "forces.txt").read_text()
     assert run(log, recipe, out).exit_code == 0  # the second time the bundle is kept
     assert CliRunner().invoke(app, ["validate", str(out / "recipe.yaml")]).exit_code == 0

@@ -1,0 +1,1 @@
+"""The referee: what the contact forces of simulators of soft pads are worth, in one run that anyone can repeat."""

@@ -1,0 +1,88 @@
+"""Players of other simulators, at toy size where they are installed: signs, friction, rest and the search."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.referee import tune
+from benchmarks.referee.case import CASES, Case, Pose
+from benchmarks.referee.player import NotPlayed
+from benchmarks.referee.players import MODULES, mujoco_flex, mujoco_rigid, players
+from benchmarks.referee.playing import Simulator, answer, place, speed, steps
+from tests.helpers.needs import needs
+
+BY_NAME = {case.name: case for case in CASES}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_players_without_packages_say_so(name: str) -> None:
+    for player in players(name):
+        assert player.settings[0] == "default"
+        why = player.available()
+        assert (why is None or why.startswith("not installed: ")) != (name == "not_run")
+
+
+def test_a_package_that_is_missing_is_named() -> None:
+    assert Simulator("x", ("numpy", "no_such_package"), (), {}, mujoco_rigid.run).available() == (
+        "not installed: no_such_package"
+    )
+
+
+def test_steps_reach_each_frame_and_rest_in_it() -> None:
+    case = Case("", "ball", 0.3, (Pose(z=-0.4), Pose(x=0.5, z=-0.4), Pose(z=0.2)), (0, 2))
+    every = list(steps(case, 4, 2))
+    assert [n for n, (*_, judged) in enumerate(every) if judged] == [5, 17]
+    assert every[0][0] == Pose(z=0.2)  # the clearance of the path
+    np.testing.assert_allclose([now for _, now, _ in every][3:6], [Pose(z=-0.4)] * 3)
+    assert all(before == now for (_, before, _), (now, _, _) in pairwise(every))
+    assert len(list(steps(case, 4, 2, creeping=True))) == 14  # no rest after the slide, nor after it is lifted and back
+
+
+def test_poses_and_speeds_are_si() -> None:
+    turned = Pose(x=1.0, yaw=90.0)
+    np.testing.assert_allclose(place(turned), [0.001, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-12)
+    np.testing.assert_allclose(speed(Pose(), turned, 0.5), [0.002, 0, 0, 0, 0, np.pi], atol=1e-12)
+
+
+def test_an_answer_sums_forces_at_points() -> None:
+    said = answer([(np.array([[1.0, 0, 0], [0, 2.0, 0]]), np.array([[0, 0, -1.0], [0, 0, -2.0]]))], 0.1, {})
+    np.testing.assert_allclose(said.force, [[0, 0, -3]])
+    np.testing.assert_allclose(said.torque, [[-4, 1, 0]])
+    assert said.pressure is not None
+    assert said.pressure.sum() * 0.5**2 == pytest.approx(3)
+
+
+def test_mujoco_rigid_presses_holds_and_slides_within_friction() -> None:
+    needs("mujoco")
+    press = mujoco_rigid.run(BY_NAME["press ball"], mujoco_rigid.DEFAULT)
+    assert (np.diff(-press.force[:, 2], prepend=0) > 0).all()
+    slide = mujoco_rigid.run(BY_NAME["slide ball, friction .3"], mujoco_rigid.TUNED).force
+    assert slide[-1, 0] > 0  # the ball drags the gel along
+    assert slide[-1, 0] <= 0.3 * -slide[-1, 2] * 1.001
+    grasp = BY_NAME["grasp box"]
+    np.testing.assert_allclose(mujoco_rigid.run(grasp, mujoco_rigid.DEFAULT).force, [[0, grasp.weight, 0]], atol=0.01)
+    ring = mujoco_rigid.run(BY_NAME["press ring"], mujoco_rigid.DEFAULT)
+    np.testing.assert_allclose(ring.force[:, :2], 0, atol=1e-3)
+
+
+def test_mujoco_flex_is_as_stiff_as_its_pad() -> None:
+    needs("mujoco")
+    coarse = mujoco_flex.TUNED | {"cell_mm": 2.0, "young_factor": 1.0}
+    soft = mujoco_flex.run(BY_NAME["release ball"], coarse).force
+    stiff = mujoco_flex.run(BY_NAME["release ball"], coarse | {"young_factor": 2.0}).force
+    hertz = 4 / 3 * 0.2 / (1 - 0.48**2) * np.sqrt(4) * 0.8**1.5  # of a half space [N]
+    assert hertz < -soft[0, 2] < 4 * hertz
+    assert 1.2 < stiff[0, 2] / soft[0, 2] < 2
+    np.testing.assert_allclose(soft[1], 0, atol=1e-9)
+    with pytest.raises(NotPlayed, match="between two soft pads"):
+        mujoco_flex.run(BY_NAME["grasp box"], coarse)
+
+
+def test_the_search_finds_the_least_error() -> None:
+    module = SimpleNamespace(LOW=(0.0, 0.0), HIGH=(4.0, 2.0), settings_at=lambda x: {"a": x[0], "b": x[1]})
+    told: list[str] = []
+    best = tune.search(module, lambda s: (s["a"] - 1) ** 2 + (s["b"] - 1.5) ** 2, 60, told.append)
+    assert best == pytest.approx({"a": 1, "b": 1.5}, abs=0.02)
+    assert len(told) <= 60
