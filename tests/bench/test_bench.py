@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from importlib.metadata import version
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -60,7 +61,7 @@ def test_the_page_is_made_of_what_was_found(tmp_path: Path) -> None:
     assert (tmp_path / "results" / "mechanics.png").stat().st_size > 5000
     found = json.loads((tmp_path / "results" / "mechanics.json").read_text())
     assert found["tables"][0]["rows"][0][1] == 3.14159  # in full
-    assert found["made"]["packages"]["numpy"] in page
+    assert found["made"]["packages"]["numpy"] == version("numpy")
     assert found["made"]["date"] in page
 
 
@@ -356,4 +357,5 @@ def test_a_file_that_no_bench_wrote_is_not_replaced(tmp_path: Path, name: str) -
 def test_results_of_benches_are_known_as_such(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "docs" / "results", tmp_path / "results")
     shutil.copy(ROOT / "docs" / "RESULTS.md", tmp_path)
-    bench._refuse_foreign([path.stem for path in (tmp_path / "results").glob("*.json")], tmp_path)
+    names = [path.stem for path in (tmp_path / "results").glob("*.json") if not path.stem.startswith("referee")]
+    bench._refuse_foreign(names, tmp_path)
