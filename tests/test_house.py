@@ -67,7 +67,7 @@ HOMES = {
     "pytetwild": {"mechanics.ftetwild"},
     "platformdirs": {"base.array_cache"},
     "threadpoolctl": {"batch.pipeline", "render.pictures", "mechanics.blas_kernels"},
-    "rich": {"report.progress", "report.step_progress"},
+    "rich": {"report.terminal_bar"},
     "PIL": {"render.photograph", "bundle.image_file", "render.jpeg"},
     "distributed": {"batch.dask_engine"},
     "pyarrow": {"export.lerobot", "touch.into_lerobot", "touch.lerobot_data"},

@@ -1,7 +1,5 @@
 """Progress of a run on stderr: a bar with the remaining time on a terminal, plain lines elsewhere or with NO_COLOR."""
 
-import os
-import sys
 import time
 from collections.abc import Iterable
 from typing import Any, TextIO
@@ -9,11 +7,12 @@ from typing import Any, TextIO
 from tacgen.base.errors import printable
 from tacgen.base.terminal import dropping
 from tacgen.report.sheet import duration
+from tacgen.report.terminal_bar import TerminalBar
 
 COMPILING = "compiling: half a minute, once for this version on this machine"
 
 
-class Progress:
+class Progress(TerminalBar):
     """Shows the events of a run; progress is counted in frames.
 
     Without a terminal it prints a line for each scene, and for each frame only if there is a single scene. What the
@@ -22,8 +21,8 @@ class Progress:
 
     def __init__(self, scenes: int, frames: int, stream: TextIO | None = None, noted: Iterable[str] = ()) -> None:
         """`noted`: lines that were printed already, and are not repeated."""
-        self.stream = stream or sys.stderr
-        self.scenes, self.total = scenes, frames
+        super().__init__(stream, frames, counted="frames")
+        self.scenes = scenes
         self.under_way: dict[str, int] = {}  # scene -> number of its finished frames
         self.done = 0  # frames of finished scenes
         self.finished = 0
@@ -33,27 +32,6 @@ class Progress:
         self.unmeasured = 0  # frames that existed before this run, or were made before something held it up
         self.ahead: set[str] = set()  # scenes whose first frame since then came before any scene was finished: not used
         self.measured = False  # whether a scene was finished since then
-        self.bar: Any = None
-        self.task: Any = None
-
-    def __enter__(self) -> "Progress":
-        if self.stream.isatty() and not os.environ.get("NO_COLOR"):
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-            from rich.progress import Progress as Bar
-
-            columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
-            times = (TextColumn("frames"), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
-            self.bar = Bar(*columns, *times, console=Console(file=self.stream), transient=True)
-            self.task = self.bar.add_task("starting", total=self.total, left="")
-            with dropping(self.stream):
-                self.bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            with dropping(self.stream):
-                self.bar.stop()
 
     def __call__(self, event: dict[str, Any]) -> None:
         """Show an event: a frame, a note, a retry or the end of a scene."""

@@ -1,45 +1,23 @@
 """Steps of a long command on stderr: a bar with the time left on a terminal, lines elsewhere or with NO_COLOR."""
 
-import os
-import sys
 import time
-from typing import Any, TextIO
+from typing import TextIO
 
 from tacgen.base.errors import printable
 from tacgen.base.terminal import dropping
 from tacgen.report.sheet import duration
+from tacgen.report.terminal_bar import TerminalBar
 
 MIN_LINE_INTERVAL_S = 2.0  # least time between two lines, and before the first, where there is no terminal [s]
 MIN_SHARE_FOR_ESTIMATE = 0.05  # of the work, from which the time left is estimated
 
 
-class StepProgress:
+class StepProgress(TerminalBar):
     """Shows what goes on, and the share of the work that is done."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self.stream = stream or sys.stderr
+        super().__init__(stream, 1.0)
         self.started = self.last_line = time.monotonic()
-        self.bar: Any = None
-        self.task: Any = None
-
-    def __enter__(self) -> "StepProgress":
-        if self.stream.isatty() and not os.environ.get("NO_COLOR"):
-            from rich.console import Console
-            from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-            from rich.progress import Progress as Bar
-
-            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-            left = TextColumn("{task.fields[left]}")
-            self.bar = Bar(*columns, left, console=Console(file=self.stream), transient=True)
-            self.task = self.bar.add_task("starting", total=1.0, left="")
-            with dropping(self.stream):
-                self.bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            with dropping(self.stream):
-                self.bar.stop()
 
     def __call__(self, text: str, share: float) -> None:
         """Show a step, and the share of the work that is done, from 0 to 1."""
