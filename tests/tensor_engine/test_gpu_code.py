@@ -3,8 +3,11 @@
 from pathlib import Path
 
 import warp as wp
+from helpers.needs import needs
 
 from tacgen.physics import elimination, runtime
+
+needs("torch")  # as the engine does that runs it
 
 
 def test_numbers_of_an_elimination_stay_in_registers(tmp_path: Path) -> None:
