@@ -23,7 +23,7 @@ from tacgen.mechanics import mesh
 from tacgen.recipe import scene_of_row
 
 FORCES, MAPS = ROOT / "docs/results/referee_reference.json", ROOT / "docs/results/referee_reference.npz"
-SCALES = (2.0, 1.4)  # of the steps of CalculiX's two meshes
+SCALES = (1.4, 1.0)  # of the steps of CalculiX's two meshes
 EDGES = ("{edge_mm: 0.28, dhat_mm: 0.01}", "reference")  # tacgen's two meshes
 SAG_MM, FACET_MM = 0.003, 0.4  # of the body: distance of its facets from the shape, and their longest edge
 MAX_HEIGHT_MM = 0.3  # parts of the body that stay higher above the untouched face never touch it

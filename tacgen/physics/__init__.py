@@ -24,9 +24,12 @@ COMPILER_FLAGS = "-march=native -mllvm=-inline-threshold=1000 -mllvm=-slp-recurs
 MAX_UNROLLED_STEPS = 3  # of a loop; more compiles for longer and runs no faster
 
 wp.config.quiet, wp.config.log_level = True, wp.LOG_WARNING
-wp.config.cpu_compiler_flags = COMPILER_FLAGS
-wp.config.max_unroll = MAX_UNROLLED_STEPS
-wp.config.enable_backward = False
 wp.config.kernel_cache_dir = _folder()
 with terminal.silent_errors():  # that there is no GPU
     wp.init()
+# options of these modules alone: other simulators that are written in Warp may run in this process
+for _name in ("tacgen.physics", "tacgen.batches", "tacgen.elimination", "tacgen.elimination_on_core", "tacgen.optics"):
+    wp.set_module_options(
+        {"max_unroll": MAX_UNROLLED_STEPS, "enable_backward": False, "cpu_compiler_flags": COMPILER_FLAGS},
+        wp.get_module(_name),
+    )

@@ -1,9 +1,13 @@
 """Launches on a core: what changes from one to the next is given anew, and arrays of other types are refused."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import warp as wp
 
+from tacgen.physics import MAX_UNROLLED_STEPS
 from tacgen.physics.runtime import call
 
 
@@ -46,3 +50,13 @@ def test_threads_of_other_axes_are_refused() -> None:
     """A kernel would take the second axis for another, and write beyond its arrays."""
     with pytest.raises(AssertionError, match="1 axes"):
         call(moved, (1, 2), np.zeros((2, 2)), (1.0, 2.0), 7.0, np.zeros((2, 2)))
+
+
+def test_what_other_programs_compile_is_not_changed() -> None:
+    """Settings of the compiler are those of tacgen's modules alone: Newton's kernels need loops that are unrolled."""
+    names = ("max_unroll", "enable_backward", "cpu_compiler_flags")
+    told = "import warp as wp; before = vars(wp.config).copy(); import tacgen.physics.elements;"
+    told += f"print([n for n in {names} if vars(wp.config)[n] != before[n]],"
+    told += "wp.get_module('tacgen.physics').options['max_unroll'])"
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]", str(MAX_UNROLLED_STEPS)]
