@@ -100,6 +100,7 @@ def test_damaged_measurements(
         ("render_comparison.TRAINING_DENTS", 2),
         ("normal_net.ENSEMBLE_SIZE", 1),
         ("normal_net.MAX_LBFGS_STEPS", 2),
+        ("steps.MAX_WORKERS", 1),  # other processes would know none of this
     ):
         monkeypatch.setattr(f"tacgen.calibrate.{name}", few)
     monkeypatch.setattr(force_curves, "solved", lambda row, depths: np.maximum(depths, 0) ** 1.5)
