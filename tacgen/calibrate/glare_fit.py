@@ -5,11 +5,10 @@ import numpy as np
 from tacgen.optics import camera_response
 from tacgen.render import photograph
 from tacgen.render.images import Renderer
-from tacgen.sensor.imperfections import Glare
+from tacgen.sensor.imperfections import MAX_GLARE_CELLS, MIN_GLARE_CELLS, Glare
 from tacgen.sensor.model import LitSensor
 
 GLARE_CELL_MM = 1.0  # side of a cell, about: wider than grain and dust, which move with the gel [mm]
-MIN_GLARE_CELLS, MAX_GLARE_CELLS = 2, 64  # along a side of the picture
 GLARE_SPP = 64  # samples a pixel, as fits to gels that scatter have
 
 

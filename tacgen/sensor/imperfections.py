@@ -12,10 +12,9 @@ DRIFT_STREAM = 3  # as NOISE_STREAM
 Seed = Annotated[int, Field(ge=0, le=999_999)]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Contrast = Annotated[float, Field(ge=0, le=0.3)]
-Cells = Annotated[
-    tuple[Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(min_length=2, max_length=64)], ...],
-    Field(min_length=2, max_length=64),
-]
+MIN_GLARE_CELLS, MAX_GLARE_CELLS = 2, 64  # along a side of the picture
+_side = Field(min_length=MIN_GLARE_CELLS, max_length=MAX_GLARE_CELLS)
+Cells = Annotated[tuple[Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], _side], ...], _side]
 Width = Annotated[float, Field(ge=0.005, le=5)]
 
 
