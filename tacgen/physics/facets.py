@@ -30,40 +30,41 @@ Numbers = wp.types.vector(length=MAX_MOVED_ARRAYS, dtype=wp.uint64)  # of each a
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def moved(
-    slots: Longs, which: Flags, count: int, into: bool, rows: Numbers, values: Numbers, apart: Numbers, widths: Numbers,
+    slots: Longs, which: Flags, into: bool, rows: Numbers, values: Numbers, apart: Numbers, widths: Numbers,
     sizes: Numbers,
 ):  # fmt: skip
     """Copy the rows at slots to values or, `into` them, the values where they are marked in `which` (s,) or everywhere.
 
-    rows, values: the addresses of `count` arrays; of each, `apart`: bytes from one row to the next, and how many
-    numbers a row of values has, and of how many bytes each.
+    rows, values: the addresses of arrays; of each, `apart`: bytes from one row to the next, and how many numbers a row
+    of values has, 0 where there is no array, and of how many bytes each. A thread for each number of all arrays.
     """
     s, k = wp.tid()
-    if which.shape[0] > 0 and not which[s]:
+    slot, marked = wp.uint64(slots[s]), bool(True)
+    if which.shape[0] > 0:
+        marked = which[s]
+    before, number = int(0), int(-1)
+    here, there, size = wp.uint64(0), wp.uint64(0), wp.uint64(0)
+    for i in range(MAX_MOVED_ARRAYS):  # of constant length, so that a GPU holds addresses in registers
+        after = before + int(widths[i])
+        own = k >= before and k < after
+        number, size = wp.where(own, k - before, number), wp.where(own, sizes[i], size)
+        here = wp.where(own, rows[i] + slot * apart[i], here)
+        there = wp.where(own, values[i] + wp.uint64(s) * widths[i] * sizes[i], there)
+        before = after
+    if not marked:
         return
-    for i in range(count):
-        width = int(widths[i])
-        if k < width:
-            here, size = rows[i] + wp.uint64(slots[s]) * apart[i], sizes[i]
-            there = values[i] + wp.uint64(s) * widths[i] * size
-            if into:
-                copied(there, here, k, width, int(size))
-            else:
-                copied(here, there, k, width, int(size))
-
-
-@wp.func
-def copied(source: wp.uint64, target: wp.uint64, k: int, width: int, size: int):
-    """Copy number k of a row."""
-    if size == 8:
-        long = wp.array(ptr=target, shape=(width,), dtype=wp.int64)
-        long[k] = wp.array(ptr=source, shape=(width,), dtype=wp.int64)[k]
-    elif size == 4:
-        short = wp.array(ptr=target, shape=(width,), dtype=wp.int32)
-        short[k] = wp.array(ptr=source, shape=(width,), dtype=wp.int32)[k]
+    if into:
+        here, there = there, here
+    at = wp.uint64(number) * size
+    if size == wp.uint64(8):
+        long = wp.array(ptr=there + at, shape=(1,), dtype=wp.int64)
+        long[0] = wp.array(ptr=here + at, shape=(1,), dtype=wp.int64)[0]
+    elif size == wp.uint64(4):
+        short = wp.array(ptr=there + at, shape=(1,), dtype=wp.int32)
+        short[0] = wp.array(ptr=here + at, shape=(1,), dtype=wp.int32)[0]
     else:
-        byte = wp.array(ptr=target, shape=(width,), dtype=wp.int8)
-        byte[k] = wp.array(ptr=source, shape=(width,), dtype=wp.int8)[k]
+        byte = wp.array(ptr=there + at, shape=(1,), dtype=wp.int8)
+        byte[0] = wp.array(ptr=here + at, shape=(1,), dtype=wp.int8)[0]
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")

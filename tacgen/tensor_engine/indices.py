@@ -51,4 +51,4 @@ def _move(
         table = np.zeros((5, most), np.uint64)
         table[:, : len(kept)] = *addresses, apart, widths, sizes
         numbers = map(facets.Numbers.from_buffer_copy, table)
-        launch(facets.moved, (len(slots), max(widths)), slots, which, len(kept), into, *numbers)
+        launch(facets.moved, (len(slots), sum(widths)), slots, which, into, *numbers)
