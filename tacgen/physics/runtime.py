@@ -1,5 +1,6 @@
 """Warp: its settings, machine code that is kept for the next process, and launches on arrays of NumPy or PyTorch."""
 
+import copy
 import ctypes
 import importlib
 import math
@@ -39,7 +40,7 @@ KERNEL_FILES = {
     ),
 }
 MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
-MAX_PREPARED_GPU_LAUNCHES = 4096  # launches on a GPU that stay prepared: calls have many sizes, each of some kB
+MAX_PREPARED_GPU_LAUNCHES = 8192  # launches on a GPU that stay prepared: calls have many sizes, each of some kB
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
 WARP_THREADS = 32  # of a GPU: they may read each other's registers
 MODULE_THREADS = {ELIMINATION: WARP_THREADS}  # of a block, where blocks of one warp spread over more of the GPU
@@ -190,8 +191,8 @@ def call(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
 def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool = False) -> Any:
     """Run a kernel on its arguments, the outputs among them: arrays of Warp, NumPy or PyTorch; None is one of no rows.
 
-    On a GPU it runs in PyTorch's stream, and launches on arrays of the same types and shapes are prepared once. record:
-    returns the launch instead.
+    On a GPU it runs in PyTorch's stream, and launches on arrays of the same types are prepared once. record: returns
+    the launch instead.
     """
     if not record and any(getattr(value, "is_cuda", False) for value in values):
         return _launch_on_gpu(kernel, dim, values)
@@ -209,34 +210,74 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
     return wp.launch(kernel, dim=dim, inputs=inputs, device=device, record_cmd=record, block_dim=threads)
 
 
+class TensorLaunches:
+    """Launches of kernels on tensors, prepared: Warp prepares one for each kernel and types of its arrays, which
+    takes a hundred times as long as it runs, and those on arrays of other shapes are copies of it."""
+
+    def __init__(self) -> None:
+        self._of_types: dict[tuple[Any, ...], wp.Launch] = {}
+        self._of_shapes: dict[tuple[Any, ...], wp.Launch] = {}
+
+    def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], values: tuple[Any, ...]) -> wp.Launch:
+        """The launch on these tensors of one device, arrays of Warp, numbers and vectors.
+
+        Raises ValueError: the last axes of a tensor are not those of the kernel's type.
+        """
+        key: list[Any] = [kernel, dim]
+        for value in values:
+            key.append(getattr(value, "dtype", type(value)))
+            if hasattr(value, "stride"):
+                key += value.shape, value.stride()
+            elif hasattr(value, "strides"):
+                key += value.shape, value.strides
+        asked = tuple(key)
+        if (found := self._of_shapes.get(asked)) is None:
+            if len(self._of_shapes) == MAX_PREPARED_GPU_LAUNCHES:
+                del self._of_shapes[next(iter(self._of_shapes))]
+            found = self._of_shapes[asked] = self._fitted(kernel, dim, values)
+        params = found.params
+        for k, value in enumerate(values, 1):  # before them the launch's size
+            if hasattr(value, "data_ptr"):
+                params[k].data = value.data_ptr()
+            elif isinstance(value, int | float):
+                params[k].value = value
+            elif isinstance(value, wp.array):
+                params[k].data = value.ptr
+            elif value is not None:
+                found.set_param_at_index(k - 1, value)
+        return found
+
+    def _fitted(self, kernel: wp.Kernel, dim: tuple[int, ...], values: tuple[Any, ...]) -> wp.Launch:
+        asked = kernel, *(getattr(value, "dtype", type(value)) for value in values)
+        if asked not in self._of_types:
+            self._of_types[asked] = launch(kernel, dim, *values, record=True)
+            self._of_types[asked].fwd_args = None  # the arrays of this call, which need not stay
+        made = copy.copy(self._of_types[asked])
+        made.params = [made.params[0], *(type(param).from_buffer_copy(param) for param in made.params[1:])]
+        if made.params_addr is not None:
+            made.params_addr = type(made.params_addr)(*map(ctypes.addressof, made.params))
+        made.set_dim(dim)
+        for part, argument, value in zip(made.params[1:], kernel.adj.args, values, strict=True):
+            if hasattr(value, "shape"):
+                axes, strides = argument.type.ndim, getattr(value, "strides", ())
+                if hasattr(value, "data_ptr"):
+                    last = tuple(value.shape[axes:])
+                    if last != getattr(argument.type.dtype, "_shape_", ()) or (last and value.stride(-1) != 1):
+                        raise ValueError(f"a tensor of shape {tuple(value.shape)} for {argument.label} of {kernel.key}")
+                    strides = [value.element_size() * k for k in value.stride()]
+                part.shape[:axes], part.strides[:axes] = value.shape[:axes], strides[:axes]
+        return made
+
+
 def _launch_on_gpu(kernel: wp.Kernel, dim: tuple[int, ...], values: tuple[Any, ...]) -> None:
-    """As `launch`: a prepared launch takes the addresses of the arrays, and vectors, which may be others each time."""
     import torch
 
     if 0 in dim:
         return
-    key: list[Any] = [kernel, dim]
-    for value in values:
-        if isinstance(value, torch.Tensor):
-            key += value.shape, value.stride(), value.dtype, value.device.index
-        elif isinstance(value, wp.array):
-            key += value.shape, value.strides
-        else:
-            key.append(type(value) if hasattr(value, "_wp_scalar_type_") else value)
-    known, asked = vars(_threads).setdefault("on_gpu", {}), tuple(key)
-    if (prepared := known.get(asked)) is None:
-        if len(known) == MAX_PREPARED_GPU_LAUNCHES:
-            del known[next(iter(known))]
-        prepared = known[asked] = launch(kernel, dim, *values, record=True)
-        prepared.fwd_args = None  # the arrays of this call, which need not stay
-    for k, value in enumerate(values):
-        if isinstance(value, torch.Tensor):
-            prepared.params[1 + k].data = value.data_ptr()  # before them the launch's size
-        elif isinstance(value, wp.array):
-            prepared.params[1 + k].data = value.ptr
-        elif hasattr(value, "_wp_scalar_type_"):
-            prepared.set_param_at_index(k, value)
-    prepared.launch(_stream(torch.cuda.current_stream().cuda_stream, prepared.device.alias))
+    device = next(value.get_device() for value in values if hasattr(value, "get_device"))
+    prepared = vars(_threads).setdefault(device, TensorLaunches())(kernel, dim, values)
+    # the address of torch.cuda.current_stream(), which takes as long as the launch
+    prepared.launch(_stream(torch._C._cuda_getCurrentRawStream(device), prepared.device.alias))
 
 
 @cache
