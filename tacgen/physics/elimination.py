@@ -72,29 +72,60 @@ ELIMINATED = """
     }
     return out;
 """
-PRODUCT = """
-SHARED alignas(16) NUMBER p[SIZE][SIZE + 4], q[SIZE][SIZE];  // 4 numbers spread columns over the banks of memory
+# Subtracts a product of blocks: A[row + i, column + j] -= sum over k < inner of P[p_row + i, p_column + k], or of
+# P[p_row + k, p_column + i] if TURNED, times Q[q_row + k, q_column + j]; i < rows, j < columns, and not above the
+# diagonal if TURNED. By addresses that are counted on: an index of Warp is multiplied, and may be negative. Beyond the
+# last row and column these are read again, since a load behind a branch waits for it.
+SUBTRACTED = """
+    SHARED alignas(16) NUMBER p[SIZE][SIZE + 4], q[SIZE][SIZE];  // 4 numbers spread columns over the banks of memory
+    auto place = [b](wp::array_t<NUMBER>& M, int i, int j) {
+        return M.data + (size_t(b) * M.strides[0] + size_t(i) * M.strides[1]) / sizeof(NUMBER) + j;
+    };
+    auto least = [](int a, int b) { return a < b ? a : b; };
+    const NUMBER *from_p = place(P, p_row, p_column), *from_q = place(Q, q_row, q_column);
+    NUMBER* to = place(A, row, column);
+    const int p_step = P.strides[1] / sizeof(NUMBER), q_step = Q.strides[1] / sizeof(NUMBER);
+    const int step = A.strides[1] / sizeof(NUMBER), across = TURNED ? rows : inner, down = TURNED ? inner : rows;
+    NUMBER mine[SIZE][EACH], others[SIZE][EACH], left[SIZE][EACH], sum[SIZE][EACH];
+    #pragma unroll
+    for (int i = 0; i < SIZE; ++i) {
+        #pragma unroll
+        for (int c = 0; c < EACH; ++c) {
+            const int j = c * LANES + lane;
+            mine[i][c] = from_p[least(i, down - 1) * p_step + least(j, across - 1)];
+            others[i][c] = from_q[least(i, inner - 1) * q_step + least(j, columns - 1)];
+            left[i][c] = to[least(i, rows - 1) * step + least(j, columns - 1)];
+        }
+    }
     SYNCHRONIZE
     #pragma unroll
     for (int i = 0; i < SIZE; ++i) {
         #pragma unroll
         for (int c = 0; c < EACH; ++c) {
-            const int column = c * LANES + lane;
-            p[TURNED ? i : column][TURNED ? column : i] = P.data[i][c];  // [k][i]
-            q[i][column] = Q.data[i][c];
+            const int j = c * LANES + lane;
+            p[TURNED ? i : j][TURNED ? j : i] = (TURNED ? i : j) < inner ? mine[i][c] : NUMBER(0);  // [k][i]
+            q[i][j] = others[i][c];
+            sum[i][c] = NUMBER(0);
         }
     }
     SYNCHRONIZE
-    wp::mat_t<SIZE, EACH, NUMBER> out;
     #pragma unroll 4
     for (int k = 0; k < SIZE; ++k) {
         #pragma unroll
         for (int i = 0; i < SIZE; ++i) {
             #pragma unroll
-            for (int c = 0; c < EACH; ++c) out.data[i][c] += p[k][i] * q[k][c * LANES + lane];
+            for (int c = 0; c < EACH; ++c) sum[i][c] += p[k][i] * q[k][c * LANES + lane];
         }
     }
-    return out;
+    #pragma unroll
+    for (int i = 0; i < SIZE; ++i) {
+        #pragma unroll
+        for (int c = 0; c < EACH; ++c) {
+            const int j = c * LANES + lane;
+            if (i < rows && j < columns && !(TURNED && column + j > row + i))
+                to[i * step + j] = (fresh ? NUMBER(0) : left[i][c]) - sum[i][c];
+        }
+    }
 """
 ON_A_GPU = "\n#if defined(__CUDA_ARCH__)\n{}\n#endif\n"
 SHARED, SYNCHRONIZE = ON_A_GPU.format("__shared__"), ON_A_GPU.format("__syncwarp();")
@@ -144,12 +175,18 @@ def _kernels(size: int, lanes: int, number: Any, key: str, module: str) -> Elimi
         """As `eliminated`, by operations that make symmetric A = L L^T the upper triangle L^T."""
         ...
 
-    @wp.func_native(native(PRODUCT, "TURNED", False))
-    def product(P: Block, Q: Block, lane: int) -> Block: ...  # type: ignore[valid-type]
+    @wp.func_native(native(SUBTRACTED, "TURNED", False))
+    def subtract(
+        A: Rows, P: Rows, Q: Rows, b: int, row: int, column: int, p_row: int, p_column: int, q_row: int, q_column: int,
+        rows: int, columns: int, inner: int, fresh: bool, lane: int,
+    ): ...  # fmt: skip
 
-    @wp.func_native(native(PRODUCT, "TURNED", True))
-    def turned_product(P: Block, Q: Block, lane: int) -> Block:  # type: ignore[valid-type]
-        """P^T Q."""
+    @wp.func_native(native(SUBTRACTED, "TURNED", True))
+    def subtract_turned(
+        A: Rows, P: Rows, Q: Rows, b: int, row: int, column: int, p_row: int, p_column: int, q_row: int, q_column: int,
+        rows: int, columns: int, inner: int, fresh: bool, lane: int,
+    ):  # fmt: skip
+        """Where `fresh`, A counts as 0."""
         ...
 
     def factor_rows(A: Rows, R: Rows, info: wp.array(dtype=int), at: int, n: int):
@@ -193,24 +230,21 @@ def _kernels(size: int, lanes: int, number: Any, key: str, module: str) -> Elimi
         top, first = at + tile * size, group * size
         if tile > 0 and first >= top + size:
             return
-        P, Q, left = Block(), Block(), Block()
-        for c in range(each):
-            column = wp.static(c) * lanes + lane
-            k, j = wp.min(top + column, n - 1), wp.min(first + column, n - 1)
-            for i in range(size):
-                P[wp.static(i), wp.static(c)] = R[b, wp.static(i), k]
-                Q[wp.static(i), wp.static(c)] = R[b, wp.static(i), j]
-                left[wp.static(i), wp.static(c)] = A[b, wp.min(top + wp.static(i), n - 1), j]
         if tile > 0:
-            if first >= at and first < at + size:
-                left = Block()
-            Q = left - turned_product(P, Q, lane)
+            fresh = first >= at and first < at + size
+            subtract_turned(A, R, R, b, top, first, 0, top, 0, first, n - top, n - first, size, fresh, lane)
+            return
+        rows = Block()  # of the first tile
+        for c in range(each):
+            j = wp.min(first + wp.static(c) * lanes + lane, n - 1)
+            for i in range(size):
+                rows[wp.static(i), wp.static(c)] = R[b, wp.static(i), j]
         for c in range(each):
             j = first + wp.static(c) * lanes + lane
             for i in range(size):
                 row = top + wp.static(i)
-                if wp.max(row, wp.where(tile == 0, j, n - 1 + j - row)) < n:  # j <= row, or all j of the first tile
-                    A[b, row, j] = wp.where(j <= row, Q[wp.static(i), wp.static(c)], number(0.0))
+                if wp.max(row, j) < n:
+                    A[b, row, j] = wp.where(j <= row, rows[wp.static(i), wp.static(c)], number(0.0))
 
     def pivot_rows(W: Rows, positive: wp.array(dtype=int), own: Longs, slots: Longs, first: int, at: int, n: int):
         """A step of Gauss-Jordan elimination by blocks: rows of W = [A | B] from `at` on times the inverse of their
@@ -250,29 +284,8 @@ def _kernels(size: int, lanes: int, number: Any, key: str, module: str) -> Elimi
         rows, top, start = own_rows(own, slots, s, first, n), tile * size, wp.min(at + size, n) + group * size
         if top == at or top >= rows or at >= rows or (start >= rows and start + size <= n):
             return
-        P, Q, left = Block(), Block(), Block()
-        for c in range(each):
-            column = wp.static(c) * lanes + lane
-            k, j = wp.min(at + column, n - 1), wp.min(start + column, W.shape[2] - 1)
-            for i in range(size):
-                here = wp.min(top + wp.static(i), n - 1)
-                P[wp.static(i), wp.static(c)] = W[s, here, k]
-                Q[wp.static(i), wp.static(c)] = W[s, wp.min(at + wp.static(i), n - 1), j]
-                left[wp.static(i), wp.static(c)] = W[s, here, j]
-            if at + size > n:
-                for i in range(size):
-                    P[wp.static(i), wp.static(c)] = wp.where(
-                        at + column < n, P[wp.static(i), wp.static(c)], number(0.0)
-                    )
-                    Q[wp.static(i), wp.static(c)] = wp.where(
-                        at + wp.static(i) < n, Q[wp.static(i), wp.static(c)], number(0.0)
-                    )
-        left -= product(P, Q, lane)
-        for c in range(each):
-            j = start + wp.static(c) * lanes + lane
-            for i in range(size):
-                if wp.max(j - W.shape[2], top + wp.static(i) - n) < 0:
-                    W[s, top + wp.static(i), j] = left[wp.static(i), wp.static(c)]
+        columns, inner = W.shape[2] - start, wp.min(n - at, size)
+        subtract(W, W, W, s, top, start, top, at, at, start, n - top, columns, inner, False, lane)
 
     made = (
         wp.Kernel(f, key=f"{f.__name__}_{key}", module=wp.get_module(module), options={"enable_backward": False})

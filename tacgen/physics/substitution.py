@@ -125,6 +125,7 @@ def _products(node: Any, number: Any, key: str) -> tuple[dict[Any, wp.Kernel], .
         which, group, lane = wp.tid()
         s, front = which / A.shape[1], which % A.shape[1]
         slot, rows, columns = slots[s], A.shape[2], A.shape[3]
+        M = A[slot, front]
         wide = step
         if columns <= SHORT_ROW:
             wide = wp.min(SECTOR_NUMBERS, step)
@@ -142,7 +143,7 @@ def _products(node: Any, number: Any, key: str) -> tuple[dict[Any, wp.Kernel], .
                 for i in range(UNROLLED_ALONG):
                     column = wp.min(k + wp.static(i) * wide, columns - 1)
                     nodes[wp.static(i)] = node(at, front, column)
-                    factors[wp.static(i)] = A[slot, front, row, column]
+                    factors[wp.static(i)] = M[row, column]
                 for i in range(UNROLLED_ALONG):
                     column = wp.min(k + wp.static(i) * wide, columns - 1)
                     numbers[wp.static(i)] = number(x, s, front, nodes[wp.static(i)], column)
@@ -165,6 +166,7 @@ def _products(node: Any, number: Any, key: str) -> tuple[dict[Any, wp.Kernel], .
         which, group, thread = wp.tid()
         s, front = which / A.shape[1], which % A.shape[1]
         slot, rows, columns = slots[s], A.shape[2], A.shape[3]
+        M = A[slot, front]
         wide = wp.min(LINE_NUMBERS, step)
         column, k, parts = group * wide + thread % wide, thread / wide, step / wide
         if down.shape[0] > 0:
@@ -180,7 +182,7 @@ def _products(node: Any, number: Any, key: str) -> tuple[dict[Any, wp.Kernel], .
                 for i in range(UNROLLED_DOWN):
                     row = wp.min(k + wp.static(i) * parts, rows - 1)
                     nodes[wp.static(i)] = node(at, front, row)
-                    factors[wp.static(i)] = A[slot, front, row, column]
+                    factors[wp.static(i)] = M[row, column]
                 for i in range(UNROLLED_DOWN):
                     row = wp.min(k + wp.static(i) * parts, rows - 1)
                     numbers[wp.static(i)] = number(x, s, front, nodes[wp.static(i)], row)
