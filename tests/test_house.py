@@ -155,7 +155,7 @@ NOT_NUMPY = {
     ),
     *("sensor.imperfections", "recipe.model", "sensor.layers", "sensor.model", "recipe.assets", "recipe.plan"),
     *("recipe.row", "recipe.sampling", "recipe.sensor_base", "recipe.sensor_checks", "recipe.usual_sizes"),
-    *("recipe.loading", "sensor.optics_checks", "recipe.background_photo", "recipe.checks", "recipe.grasp_checks"),
+    *("recipe.loading", "sensor.optics_checks", "recipe.checks", "recipe.grasp_checks"),
     *("sensor.validation_messages", "sensor.yaml_source", "recipe.trajectory", "recipe.indenters"),
     *("recipe.pose_table", "recipe.trajectory_checks", "outputs", "outputs.base"),
     *(f"outputs.{name}" for name in OUTPUTS),

@@ -13,15 +13,8 @@ from tacgen.bundle.scene_words import finger_text, rounded, shape_text
 from tacgen.outputs.contact_modes import CONTACT_MODES
 
 EVENT_MODE_PATH = "/frames/events/mode"
-SEGMENT_VERBS = {  # of an instruction, after the first contact
-    "hold": "hold",
-    "slide": "slide",
-    "twist": "twist",
-    "tilt": "tilt",
-    "lift": "lift",
-    "release": "release",
-    "replay": "move",
-}
+# of an instruction, after the first contact
+SEGMENT_VERBS = {kind: kind for kind in ("hold", "slide", "twist", "tilt", "lift", "release")} | {"replay": "move"}
 
 
 class Change(NamedTuple):

@@ -24,30 +24,19 @@ import numpy as np
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.hdf5_file import item_at, open_file, text_type, written_file
-from tacgen.touch.episode import Array, EpisodeLog, Episodes, Touch
-from tacgen.touch.label_columns import by_episode, columns
+from tacgen.touch.episode import Array, EpisodeLog, Touch
+from tacgen.touch.label_columns import Felt, columns
+from tacgen.touch.recording import Recording
 
 GZIP_LEVEL = 4  # of the pictures, as a middle between size and time
 
 
-def write(
-    source: Episodes,
-    episodes: Sequence[EpisodeLog],
-    touches: Sequence[Sequence[Touch]],
-    out: Path,
-    *,
-    overwrite: bool,
-) -> list[Path]:
-    """Write the copy `out`, which appears when it is complete.
-
-    Args:
-        touches: of each episode one for each finger; demonstrations that are not among `episodes` get none.
-        overwrite: replace a file `out`.
+def write(source: Recording, felt: Felt, out: Path, *, overwrite: bool) -> list[Path]:
+    """Write the copy `out`, which appears when it is complete; demonstrations that are not among `felt` get none.
 
     Raises:
         UserError: not such a file, touch is in it, its rows are not those of the episodes, or `out` is in the way.
     """
-    felt = by_episode(episodes, touches)
     open_file(source.path).close()  # it is HDF5, and an input from here on
     with output_file.written(out, [source.path], overwrite=overwrite) as new:
         shutil.copyfile(source.path, new)

@@ -1,6 +1,6 @@
 """Rows of any file as a recorded episode: joint states through a model, columns as poses, forces, grip; and checks."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -43,8 +43,9 @@ class RecordedRows:
 
 @dataclass(frozen=True)
 class Recording:
-    """Recorded episodes, as `Episodes`. row: of an episode by its place; asked: `--object`s, text by name, "" for a
-    body of the model; columns: what the names in the file do not say."""
+    """Recorded episodes. kind: lerobot, robomimic, maniskill, umi or log; fps: rows in a second; rows: of an episode by
+    its place; asked: `--object`s, text by name, "" for a body of the model; columns: what the names in the file do not
+    say."""
 
     path: Path
     kind: str
@@ -66,13 +67,8 @@ class Recording:
     def _first_model(self) -> Kinematics | None:
         return self.rows(0).model
 
-    def episodes(self) -> Iterator[EpisodeLog]:
-        """In order. Raises UserError, one line, where an episode cannot be read or is not plausible."""
-        for number in range(self.count):
-            yield self.episode(number)
-
     def episode(self, number: int) -> EpisodeLog:
-        """One episode by its place; raises as `episodes` does."""
+        """The one at this place, from 0. Raises UserError, one line: it cannot be read or is not plausible."""
         rows = self.rows(number)
         where = f"{self.path}: episode {rows.name}"
         self._refuse_other_things(rows.model, where)

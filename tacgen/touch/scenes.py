@@ -27,8 +27,9 @@ from tacgen.replay.preparation import WRITTEN_KEYS
 from tacgen.replay.selection import FACE_SPACING_MM, RecordedBody
 from tacgen.sensor.yaml_source import Tree
 from tacgen.touch import grasps, intervals
-from tacgen.touch.episode import EpisodeLog, Episodes, Finger, Thing
+from tacgen.touch.episode import EpisodeLog, Finger, Thing
 from tacgen.touch.intervals import AtFinger, Interval, Rate
+from tacgen.touch.recording import Recording
 
 TABLE_KEY = "trajectory[0].replay.file"
 UNTOUCHED_FRAMES = 8  # pictures of an untouched sensor, which differ by the camera's noise
@@ -80,7 +81,7 @@ class TouchScenes:
     notes: tuple[str, ...]
 
 
-def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, folder: Path, chosen: range | None = None,
+def prepare(source: Recording, fingers: Sequence[Finger], asked: TouchChoice, folder: Path, chosen: range | None = None,
             *, overwrite: bool = False) -> TouchScenes:  # fmt: skip
     """Find the contacts of a source's episodes, or of the `chosen` ones, and write the recipes of their scenes.
 
@@ -142,7 +143,7 @@ def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, fol
     )  # fmt: skip
 
 
-def _readable(source: Episodes, chosen: range | None, notes: list[str]) -> Iterator[EpisodeLog]:
+def _readable(source: Recording, chosen: range | None, notes: list[str]) -> Iterator[EpisodeLog]:
     """The episodes of a source that can be read, and a note on each other one."""
     for number in range(len(source)) if chosen is None else chosen:
         if number < len(source):
@@ -153,7 +154,7 @@ def _readable(source: Episodes, chosen: range | None, notes: list[str]) -> Itera
 
 
 def _nowhere(
-    source: Episodes, episodes: Sequence[EpisodeLog], fingers: Sequence[Finger],
+    source: Recording, episodes: Sequence[EpisodeLog], fingers: Sequence[Finger],
     things: Mapping[str, tuple[Thing, RecordedBody]], gels: Mapping[str, GelBody],
 ) -> str:  # fmt: skip
     """The error where no object comes near a gel: the closest approach, and where to look."""
