@@ -78,9 +78,8 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         if count > 1:
             solving = process_pool.started(stack, count, import_module, "tacgen.tensor_engine.pool", by="forkserver")
         ahead = stack.enter_context(ThreadPoolExecutor(1))
-        pool = stack.enter_context(
-            Pool(workers, limits, SOLVED_SCENE_TASK if task == SCENE_TASK else task, first=PREPARE_TASK)
-        )
+        made_by = SOLVED_SCENE_TASK if task == SCENE_TASK else task
+        pool = stack.enter_context(Pool(workers, limits, made_by, first=PREPARE_TASK))
 
         def run(
             rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None

@@ -12,9 +12,6 @@ from tacgen.outputs.base import Entry
 
 BUNDLE_FORMAT = 1
 UNIT_SYSTEM = "mm N MPa s rad"
-STATUS_TEXT = (
-    "`ok`, or `rejected`: the solver gave up and only the frames before that are here, or none touches the gel"
-)
 
 BUNDLE_ATTRS: dict[str, tuple[type, str]] = {
     "tacgen_format": (int, f"format of this file, {BUNDLE_FORMAT}"),
@@ -28,7 +25,10 @@ BUNDLE_ATTRS: dict[str, tuple[type, str]] = {
     "solver": (str, "linear solver, or batch engine and device, and versions"),
     "input_key": (str, "sha256 of all resolved inputs: equal keys, equal bundles"),
     "frames_planned": (int, "frames the trajectory asks for; `status` tells whether all are here"),
-    "status": (str, STATUS_TEXT),
+    "status": (
+        str,
+        "`ok`, or `rejected`: the solver gave up and only the frames before that are here, or none touches the gel",
+    ),
     "reason": (str, "why it was rejected, or ended before a fold; empty if all frames are here"),
     "digest": (str, "sha256 over every dataset's path, type, shape, bytes and attributes, and these attributes"),
     "complete": (bool, "true, written last"),

@@ -329,9 +329,7 @@ def doctor(
 
     findings = checkup.examine()
     if warm:
-        from tacgen.batch import warm as preparing
-
-        findings += [checkup.Diagnosis(*sensor) for sensor in preparing.warm()]
+        findings += checkup.warm()
     lines = [f"{'ok ' if f.ok else 'BAD' if f.needed else '-- '} {f.name:<20} {f.note}" for f in findings]
     show_result([f._asdict() for f in findings], "\n".join(lines), as_json)
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)

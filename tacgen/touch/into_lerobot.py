@@ -270,9 +270,8 @@ def _thinned(image: Array) -> Array:
 def _image_statistics(samples: Array) -> dict[str, list]:
     """Statistics of pictures (s, h, w, 3), of each colour in [0, 1]."""
     found = statistics([{"": samples.reshape(-1, 3) / 255}])[""]
-    return {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items() if name != "count"} | {
-        "count": [len(samples)]
-    }
+    colours = {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items() if name != "count"}
+    return colours | {"count": [len(samples)]}
 
 
 def _statistics(values: Array) -> dict[str, list]:

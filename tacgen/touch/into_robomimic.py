@@ -59,10 +59,8 @@ def _add(path: Path, file: Any, episode: EpisodeLog, fingers: Sequence[Touch]) -
             demonstration.create_group(name)
         group = item_at(demonstration, name)
         for key in group:
-            if getattr(group.get(key), "shape", None) and len(group[key]) != len(episode):
-                raise UserError(
-                    f"{path}: {episode.name}: {name}/{key} has {len(group[key])} rows, touch has {len(episode)}"
-                )
+            if getattr(group.get(key), "shape", None) and (count := len(group[key])) != len(episode):
+                raise UserError(f"{path}: {episode.name}: {name}/{key} has {count} rows, touch has {len(episode)}")
         rows = np.minimum(np.arange(len(episode)) + later, len(episode) - 1)
         for touch in fingers:
             _put(path, group, touch, rows)

@@ -3,17 +3,13 @@
 from pathlib import Path
 
 import pytest
+from helpers.small_recipe import BALL
 
 from tacgen.base.errors import UserError
 from tacgen.recipe import grasp_of_row, plan
 
-RECIPE = """
-tacgen: 1
-name: grasp
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 5}
-grasp: {mass_kg: 0.05}
-trajectory: [close: {force_n: 1, frames: 2}, lift: {height_mm: 2, frames: 1}, hold: {frames: 1}]
+RECIPE = f"""{BALL.replace("4.0", "5")}grasp: {{mass_kg: 0.05}}
+trajectory: [close: {{force_n: 1, frames: 2}}, lift: {{height_mm: 2, frames: 1}}, hold: {{frames: 1}}]
 outputs: [force]
 """
 
