@@ -136,6 +136,7 @@ READERS = {
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
     "physics.runtime": {"read_bytes"},
     "base.machine": {"read_text"},
+    "base.regular_file": {"read_bytes"},  # its own
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EXTENDING.md says

@@ -310,7 +310,10 @@ def test_movements_after_a_replay_start_at_its_last_row(tmp_path: Path) -> None:
 
 
 def test_a_replay_after_a_force_is_not_shifted_by_the_depth_found(tmp_path: Path) -> None:
-    made = built(tmp_path, table(ROWS), "trajectory=[press: {force_n: 1, frames: 1}, replay: {file: poses.csv}]")
+    (tmp_path / "poses.csv").write_text(table(ROWS))
+    moves = "  - press: {force_n: 1, frames: 1}\n  - replay: {file: poses.csv}\n"
+    (tmp_path / "recipe.yaml").write_text(HEAD + moves)
+    made = scene_of_row.build(plan.load(tmp_path / "recipe.yaml").rows[0])
     assert made.forced is not None
     assert made.forced.carry.tolist() == [1, 0, 0, 0]
 
