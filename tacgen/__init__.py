@@ -16,48 +16,15 @@ from typing import TYPE_CHECKING, Any
 from tacgen.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from tacgen.api.frames import Frames as Frames
-    from tacgen.api.frames import SceneRejected as SceneRejected
-    from tacgen.api.frames import read as read
-    from tacgen.api.frames import read_all as read_all
-    from tacgen.api.simulation import load_sensor as load_sensor
-    from tacgen.api.simulation import run as run
-    from tacgen.api.simulation import simulate as simulate
-    from tacgen.base.errors import UserError as UserError
-    from tacgen.bundle.postprocess import hydrostatic as hydrostatic
-    from tacgen.bundle.postprocess import principal as principal
-    from tacgen.bundle.postprocess import von_mises as von_mises
-    from tacgen.recipe.indenters import Box as Box
-    from tacgen.recipe.indenters import Capsule as Capsule
-    from tacgen.recipe.indenters import Cone as Cone
-    from tacgen.recipe.indenters import Cylinder as Cylinder
-    from tacgen.recipe.indenters import Mesh as Mesh
-    from tacgen.recipe.indenters import Sphere as Sphere
-    from tacgen.recipe.indenters import Torus as Torus
-    from tacgen.recipe.indenters import Wedge as Wedge
-    from tacgen.recipe.model import Dynamics as Dynamics
-    from tacgen.recipe.model import MaterialDeviation as MaterialDeviation
-    from tacgen.recipe.model import PoseDeviation as PoseDeviation
-    from tacgen.recipe.model import Rayleigh as Rayleigh
-    from tacgen.recipe.model import Render as Render
-    from tacgen.recipe.model import Uncertainty as Uncertainty
-    from tacgen.recipe.trajectory import Hold as Hold
-    from tacgen.recipe.trajectory import Press as Press
-    from tacgen.recipe.trajectory import Release as Release
-    from tacgen.recipe.trajectory import Replay as Replay
-    from tacgen.recipe.trajectory import Slide as Slide
-    from tacgen.recipe.trajectory import Start as Start
-    from tacgen.recipe.trajectory import Tilt as Tilt
-    from tacgen.recipe.trajectory import Twist as Twist
-    from tacgen.sensor.layers import MooneyRivlinLayer as MooneyRivlinLayer
-    from tacgen.sensor.layers import NeoHookeLayer as NeoHookeLayer
-    from tacgen.sensor.layers import PronyTerm as PronyTerm
-    from tacgen.sensor.layers import StableNeoHookeLayer as StableNeoHookeLayer
-    from tacgen.sensor.layers import YeohLayer as YeohLayer
-    from tacgen.sensor.model import Camera as Camera
-    from tacgen.sensor.model import Dome as Dome
-    from tacgen.sensor.model import Gel as Gel
-    from tacgen.sensor.model import Sensor as Sensor
+    from tacgen.api.frames import Frames, SceneRejected, read, read_all
+    from tacgen.api.simulation import load_sensor, run, simulate
+    from tacgen.base.errors import UserError
+    from tacgen.bundle.postprocess import hydrostatic, principal, von_mises
+    from tacgen.recipe.indenters import Box, Capsule, Cone, Cylinder, Mesh, Sphere, Torus, Wedge
+    from tacgen.recipe.model import Dynamics, MaterialDeviation, PoseDeviation, Rayleigh, Render, Uncertainty
+    from tacgen.recipe.trajectory import Hold, Press, Release, Replay, Slide, Start, Tilt, Twist
+    from tacgen.sensor.layers import MooneyRivlinLayer, NeoHookeLayer, PronyTerm, StableNeoHookeLayer, YeohLayer
+    from tacgen.sensor.model import Camera, Dome, Gel, Sensor
 
 # The public names by the module that holds them; a module is imported when one of its names is first asked for.
 _HOMES = {
@@ -71,7 +38,13 @@ _HOMES = {
     "tacgen.sensor.layers": ("NeoHookeLayer", "StableNeoHookeLayer", "MooneyRivlinLayer", "YeohLayer", "PronyTerm"),
     "tacgen.recipe.model": ("Uncertainty", "MaterialDeviation", "PoseDeviation", "Dynamics", "Rayleigh", "Render"),
 }
-__all__ = [name for names in _HOMES.values() for name in names]
+__all__ = [  # in full, for type checkers
+    "Box", "Camera", "Capsule", "Cone", "Cylinder", "Dome", "Dynamics", "Frames", "Gel", "Hold", "MaterialDeviation",
+    "Mesh", "MooneyRivlinLayer", "NeoHookeLayer", "PoseDeviation", "Press", "PronyTerm", "Rayleigh", "Release",
+    "Render", "Replay", "SceneRejected", "Sensor", "Slide", "Sphere", "StableNeoHookeLayer", "Start", "Tilt", "Torus",
+    "Twist", "Uncertainty", "UserError", "Wedge", "YeohLayer", "hydrostatic", "load_sensor", "principal", "read",
+    "read_all", "run", "simulate", "von_mises",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli import doctor
 from tacgen.cli import main as cli
+from tacgen.recipe.row import Row
 
 
 @pytest.fixture(autouse=True)
@@ -55,20 +57,28 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
     done = CliRunner().invoke(cli.app, ["doctor", "--json"])
     assert done.exit_code == 1
     found = {f["name"]: f for f in json.loads(done.stdout)}
-    assert found["rendering"] == {
-        "name": "rendering",
-        "ok": False,
-        "note": "ImportError: no module named mitsuba",
-        "needed": True,
-    }
+    note = "ImportError: no module named mitsuba"
+    assert found["rendering"] == {"name": "rendering", "ok": False, "note": note, "needed": True}
     assert not found["no-such-package"]["ok"]
     assert found["numpy"]["ok"]
 
 
 def test_it_prepares_what_first_runs_need_if_asked(monkeypatch: pytest.MonkeyPatch):
-    done = [("gelsight_mini", True, "3 s, 2 s of them compiling"), ("digit", False, "frame 1 of 1: stalled")]
-    monkeypatch.setattr("tacgen.batch.warm.warm", lambda: iter(done))
+    """With every output on every sensor: markers where it has some."""
+
+    def run(rows: list[Row], folder: Path) -> list[SimpleNamespace]:
+        outputs[name := rows[0].sensor.name] = rows[0].recipe.outputs
+        stalled = name == "digit"
+        status, reason = ("rejected", "frame 1 of 1: stalled") if stalled else ("ok", "")
+        return [SimpleNamespace(status=status, reason=reason, seconds={"compile": 2.0, "solve": 1.0})]
+
+    outputs = dict[str, frozenset[str]]()
+    monkeypatch.setattr("tacgen.batch.local.Pool", lambda count: nullcontext(SimpleNamespace(run=run)))
+    monkeypatch.setattr("tacgen.recipe.assets.list_sensors", lambda: ["gelsight_mini", "digit", "nobody"])
     assert "digit" not in CliRunner().invoke(cli.app, ["doctor"]).stdout
     told = CliRunner().invoke(cli.app, ["doctor", "--warm"])
     assert told.exit_code == 1
-    assert "ok  gelsight_mini        3 s, 2 s of them compiling\nBAD digit " in told.stdout
+    assert "ok  gelsight_mini        3 s, 2 s of them compiling\nBAD digit                frame 1" in told.stdout
+    assert "BAD nobody " in told.stdout
+    assert outputs["gelsight_mini"] - outputs["digit"] == {"markers"}
+    assert outputs["digit"] >= {"force_map", "rgb", "stress"}

@@ -136,6 +136,7 @@ READERS = {
     **{name: {"read_text", "np.load"} for name in ("mechanics.blas_kernels", "mechanics.ftetwild")},
     "physics.runtime": {"read_bytes"},
     "base.machine": {"read_text"},
+    "base.regular_file": {"read_bytes"},  # its own
 }
 READS = {"read_text", "read_bytes", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "Image.open", "imread"}
 PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EXTENDING.md says
@@ -155,7 +156,7 @@ NOT_NUMPY = {
     ),
     *("sensor.imperfections", "recipe.model", "sensor.layers", "sensor.model", "recipe.assets", "recipe.plan"),
     *("recipe.row", "recipe.sampling", "recipe.sensor_base", "recipe.sensor_checks", "recipe.usual_sizes"),
-    *("recipe.loading", "sensor.optics_checks", "recipe.background_photo", "recipe.checks", "recipe.grasp_checks"),
+    *("recipe.loading", "sensor.optics_checks", "recipe.checks", "recipe.grasp_checks"),
     *("sensor.validation_messages", "sensor.yaml_source", "recipe.trajectory", "recipe.indenters"),
     *("recipe.pose_table", "recipe.trajectory_checks", "outputs", "outputs.base"),
     *(f"outputs.{name}" for name in OUTPUTS),

@@ -109,18 +109,9 @@ class Frames:
                 raise AttributeError(str(error)) from None
 
     def __dir__(self) -> list[str]:
-        plain, known = [name for name in self.names if name.isidentifier()], self.bundle.shapes.keys()
-        return sorted(
-            {
-                *super().__dir__(),
-                *plain,
-                *(
-                    each
-                    for each, name in field_names.SHORT_NAMES.items()
-                    if {name, f"/frames/{name}", f"/fields/{name}"} & known
-                ),
-            }
-        )
+        short, known = field_names.SHORT_NAMES.items(), self.bundle.shapes.keys()
+        others = [each for each, name in short if {name, f"/frames/{name}", f"/fields/{name}"} & known]
+        return sorted({*super().__dir__(), *filter(str.isidentifier, self.names), *others})
 
     force: Array
     force_std: Array
@@ -287,7 +278,6 @@ def read_all(path: str | Path) -> list[Frames]:
     bundles = dataset.scenes(Path(path))
     good = [Frames(each) for each in bundles if each.attrs["status"] == "ok"]
     if len(good) < len(bundles):
-        warnings.warn(
-            f"{path}: left out {len(bundles) - len(good)} rejected of {len(bundles)} scenes", LeftOut, stacklevel=2
-        )
+        said = f"{path}: left out {len(bundles) - len(good)} rejected of {len(bundles)} scenes"
+        warnings.warn(said, LeftOut, stacklevel=2)
     return good

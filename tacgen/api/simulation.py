@@ -21,7 +21,7 @@ from tacgen.recipe.trajectory import Hold, Press, Release, Replay, Slide, Start,
 from tacgen.sensor.base_model import Part
 from tacgen.sensor.model import Camera, Gel, Sensor
 from tacgen.sensor.usual_values import unusual
-from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, format_path, put
+from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, branches, format_path, put
 
 if TYPE_CHECKING:
     from tacgen.recipe.indenters import Box, Capsule, Cone, Cylinder, Mesh, Sphere, Torus, Wedge
@@ -278,9 +278,7 @@ def _tree(data: Any, name: str, spots: Mapping[KeyPath, Spot]) -> Tree:
 def _paths(value: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
     """The paths of a value and of all that is in it."""
     yield path
-    for step, inner in (
-        value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    ):
+    for step, inner in branches(value):
         yield from _paths(inner, (*path, step))
 
 

@@ -95,10 +95,7 @@ def _alone(handle: int) -> None:
 
 
 def _locked(
-    path: Path,
-    tries: int,
-    lock: Callable[[int], None] = _alone,
-    wanted: Callable[[int], bool] = lambda _: True,
+    path: Path, tries: int, lock: Callable[[int], None] = _alone, wanted: Callable[[int], bool] = lambda _: True
 ) -> int | None:
     """A handle of the file, locked by `lock`; None if other processes hold the lock, or the file is not as `wanted`.
 

@@ -26,12 +26,7 @@ RESULTS_RECORD = ".tacgen-written.json"  # in the folder of results: their names
 
 @contextmanager
 def written(
-    target: Path,
-    inputs: Iterable[Path] = (),
-    *,
-    overwrite: bool = False,
-    within: Path | None = None,
-    kind: Kind = "",
+    target: Path, inputs: Iterable[Path] = (), *, overwrite: bool = False, within: Path | None = None, kind: Kind = ""
 ) -> Iterator[Path]:
     """A path beside `target`, with the same suffix, to write to; it gets the target's name if the block succeeds.
 
@@ -97,12 +92,7 @@ def holds(target: Path, content: bytes) -> bool:
 
 
 def refuse(
-    target: Path,
-    inputs: Iterable[Path] = (),
-    *,
-    overwrite: bool = False,
-    within: Path | None = None,
-    kind: Kind = "",
+    target: Path, inputs: Iterable[Path] = (), *, overwrite: bool = False, within: Path | None = None, kind: Kind = ""
 ) -> None:
     """UserError if `target` must not be written; arguments as of `written`. To be called before long work, too."""
     if within is not None and not Path(os.path.realpath(target)).is_relative_to(os.path.realpath(within)):

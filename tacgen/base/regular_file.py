@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 
+from tacgen.base.errors import UserError, why
+
 _read: set[tuple[int, int]] | None = None  # device and inode of the files that the present command has opened
 
 
@@ -64,3 +66,11 @@ def read_bytes(path: Path, most: int, *, noted: bool = True) -> bytes:
     """All of a file. Raises OSError as `descriptor` does."""
     with opened(path, most, noted=noted) as file:
         return file.read(min(most, os.fstat(file.fileno()).st_size))  # Python makes room for as much as it is asked for
+
+
+def content(path: Path, most: int) -> bytes:
+    """All of a file that a person names. Raises UserError: it cannot be read."""
+    try:
+        return read_bytes(path, most)
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None

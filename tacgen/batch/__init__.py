@@ -98,10 +98,8 @@ def _of_other_versions(versions: dict[str, str]) -> list[str]:
     others = {name: version for name, version in versions.items() if version != __version__}
     if not others:
         return []
-    made = ", ".join(sorted(set(others.values())))
-    return [
-        f"kept, made by tacgen {made}, this is {__version__}: {dataset.some([*others])}; --overwrite makes them again"
-    ]
+    made = f"made by tacgen {', '.join(sorted(set(others.values())))}, this is {__version__}"
+    return [f"kept, {made}: {dataset.some([*others])}; --overwrite makes them again"]
 
 
 def _unplanned(folder: Path, shard: Shard | None, made: set[tuple[str, str]]) -> list[str]:

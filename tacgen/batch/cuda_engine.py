@@ -78,9 +78,8 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         if count > 1:
             solving = process_pool.started(stack, count, import_module, "tacgen.tensor_engine.pool", by="forkserver")
         ahead = stack.enter_context(ThreadPoolExecutor(1))
-        pool = stack.enter_context(
-            Pool(workers, limits, SOLVED_SCENE_TASK if task == SCENE_TASK else task, first=PREPARE_TASK)
-        )
+        made_by = SOLVED_SCENE_TASK if task == SCENE_TASK else task
+        pool = stack.enter_context(Pool(workers, limits, made_by, first=PREPARE_TASK))
 
         def run(
             rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
@@ -237,12 +236,11 @@ def run_scene(
 
 def prepare(row: Row) -> None:
     """Make ready in this process for pictures like a row's, which takes seconds, while other processes solve it."""
-    from tacgen.batch import pipeline  # noqa: F401  # with all that a scene needs
-    from tacgen.recipe import pictures_of_row
+    from tacgen.batch import pipeline, recorder  # noqa: F401  # with all that a scene needs
     from tacgen.render import pictures
 
     if (device := _drawing_device(row)) is not None:
-        pictures.prepare(pictures_of_row.settings(row), device)
+        pictures.prepare(recorder.picture_settings(row), device)
 
 
 def _drawing_device(row: Row) -> str | None:
@@ -286,35 +284,21 @@ def _unfinished(rows: Sequence[Row], folder: Path, overwrite: bool) -> list[Row]
 
 
 def _begun(
-    rows: Sequence[Row],
-    folder: Path,
-    devices: Sequence[str],
-    solving: Executor,
-    count: int,
-    mapped: Mapped,
-    drawing: int,
-    patient: bool,
-) -> list[Future[SolvedPart]]:
+    rows: Sequence[Row], folder: Path, devices: Sequence[str], solving: Executor, count: int, mapped: Mapped,
+    drawing: int, patient: bool,
+) -> list[Future[SolvedPart]]:  # fmt: skip
     """Begin to write a solution for each row, or why there is none, in parts; where a process has died, a part that has
     failed. drawing: workers that draw on each device meanwhile. patient: no scene is put off."""
     from tacgen.tensor_engine.device import beside
     from tacgen.tensor_engine.planning import divided
 
     plans = list(mapped(_planned, enumerate(rows)))
-    parts, share = divided(plans, count), GPU_MEMORY_SHARE / -(-count // len(devices))
+    parts, share, begun = divided(plans, count), GPU_MEMORY_SHARE / -(-count // len(devices)), []
     try:
-        return [
-            solving.submit(
-                _solve,
-                {k: rows[k] for k in part},
-                [plans[k] for k in part],
-                folder,
-                device,
-                share * beside(device, drawing),
-                patient,
-            )
-            for part, device in zip(parts, cycle(devices), strict=False)
-        ]
+        for part, device in zip(parts, cycle(devices), strict=False):
+            some, memory = {k: rows[k] for k in part}, share * beside(device, drawing)
+            begun.append(solving.submit(_solve, some, [plans[k] for k in part], folder, device, memory, patient))
+        return begun
     except BrokenProcessPool as error:
         failed = Future[SolvedPart]()
         failed.set_exception(error)

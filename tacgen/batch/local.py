@@ -22,6 +22,7 @@ BUSY_RETRY_S = 0.5  # delay before a scene that another run is making is tried a
 MAX_FAILED_STARTS = 3  # consecutive workers that end before their first scene; then the run ends
 
 OnEvent = Callable[[dict[str, Any]], None]
+Ready = Callable[[Row], bool]  # whether a scene may be begun
 
 
 class Pool:
@@ -60,7 +61,7 @@ class Pool:
         overwrite: bool = False,
         on_event: OnEvent = lambda event: None,
         enough: Callable[[], bool] = lambda: False,
-        ready: Callable[[Row], bool] = lambda row: True,
+        ready: Ready = lambda row: True,
     ) -> list[SceneResult]:
         """Make the scenes of all rows, with results in the same order. `on_event` is called as in `batch.run`. As soon
         as `enough` is true it returns the results that there are; the others' workers end with the pool. A scene is
@@ -130,13 +131,7 @@ class _Batch:
     """The waiting jobs and the results of a call of `Pool.run`."""
 
     def __init__(
-        self,
-        rows: Sequence[Row],
-        folder: Path,
-        on_event: OnEvent,
-        ready: Callable[[Row], bool] = lambda row: True,
-        *,
-        in_order: bool,
+        self, rows: Sequence[Row], folder: Path, on_event: OnEvent, ready: Ready = lambda row: True, *, in_order: bool
     ) -> None:
         self.waiting = deque(Job(rows, place) for place in range(len(rows)))
         self.results: dict[int, SceneResult] = {}  # by place among the rows

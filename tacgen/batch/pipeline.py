@@ -16,7 +16,7 @@ from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.expected_error import Expected
-from tacgen.recipe import approach, scene_of_row
+from tacgen.recipe import scene_checks, scene_of_row
 from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
@@ -99,9 +99,8 @@ def _gels(work: SceneWork) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
         else:
             # a trial of a prescribed force may fold where its solution does not: its frames stop such a scene
             through = row.recipe.folds == "keep" or built.forced is not None
-            problem = mechanics.Problem.of(
-                built, mesh.of(built), replace(mechanics.DEFAULT_OPTIONS, through_folds=through)
-            )
+            options = replace(mechanics.DEFAULT_OPTIONS, through_folds=through)
+            problem = mechanics.Problem.of(built, mesh.of(built), options)
             states = mechanics.states(built, problem)
     return (Solvable(row, built, problem),), (((state, None),) for state in states)
 
@@ -151,7 +150,7 @@ def _made(work: SceneWork, path: Path) -> tuple[Literal["ok", "rejected"], str, 
             done += 1
             work.tell("frame", frame=done, frames=row.frames)
         if not reason and not any(recorder.touched for recorder in recorders):
-            fine, said = approach.verdict(row.recipe, min(recorder.gap for recorder in recorders))
+            fine, said = scene_checks.verdict(row.recipe, min(recorder.gap for recorder in recorders))
             status, reason, notes = ("ok", "", [said]) if fine else ("rejected", said, [])
         return status, reason, done, tuple(recorder.finish(status, reason, notes) for recorder in recorders)
 

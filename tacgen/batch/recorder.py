@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from tacgen.recipe.row import Row
 if TYPE_CHECKING:
     from tacgen.mechanics.grasp_balance import Held
     from tacgen.outputs.gel_surface import GelSurface
-    from tacgen.render.pictures import Pictures
+    from tacgen.render.pictures import Pictures, PictureSettings
+    from tacgen.sensor.model import LitSensor
 
 MIN_NOTED_ERROR = 0.1  # expected error of the force by the mesh [-], above which a run tells it
 OnEvent = Callable[[dict[str, Any]], None]
@@ -92,9 +93,8 @@ class Recorder:
         self.work, self.clock = work, work.clock
         self.poses: list[np.ndarray] = []
         self.said: list[str] = []  # of frames that are not as a table wants them
-        asked = {"force", *row.recipe.outputs} | {
-            name for name in BLOCK_OUTPUTS if getattr(row.recipe, name) is not None
-        }
+        blocks = {name for name in BLOCK_OUTPUTS if getattr(row.recipe, name) is not None}
+        asked = {"force", *row.recipe.outputs, *blocks}
         asked |= {POSITIONS_OUTPUT} if asked & MAP_OUTPUTS else set()
         self.before: mechanics.State | None = None
         with self.clock.stage("fields"):
@@ -154,6 +154,15 @@ class Recorder:
             return frame
 
 
+def picture_settings(row: Row) -> "PictureSettings":
+    """How the pictures of a row are made; its sensor has lights, which the recipe's checks ask for."""
+    from tacgen.render.pictures import PictureSettings
+
+    recipe, sensor = row.recipe, cast("LitSensor", row.sensor)
+    render, spp = recipe.render, recipe.resolved().spp
+    return PictureSettings(sensor, render.method, spp, row.seed, render.noise, row.photo_path, recipe.outputs)
+
+
 def _attributes(work: SceneWork, gel: Solvable, shared: SceneData) -> dict[str, Any]:
     from importlib.metadata import version
 
@@ -195,10 +204,9 @@ def _shared(work: SceneWork, gel: Solvable) -> SceneData:
     """A scene as its outputs need it, with the choices of its recipe."""
 
     def pictures(untouched: "GelSurface") -> "Pictures":
-        from tacgen.recipe import pictures_of_row
         from tacgen.render.pictures import Pictures
 
-        return Pictures(pictures_of_row.settings(row), untouched, work.device)
+        return Pictures(picture_settings(row), untouched, work.device)
 
     (row, scene, problem), unsure = gel, gel.row.recipe.uncertainty
     return SceneData(

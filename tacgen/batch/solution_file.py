@@ -40,8 +40,7 @@ def read(path: Path) -> SolvedScene | None:
     with np.load(path, allow_pickle=False) as found:
         told = json.loads(str(found["/told"]))
         arrays = {name: found[name] for name in STATE_FIELDS if name in found} | told["numbers"]
+    known: dict[str, Any] = dict.fromkeys(STATE_FIELDS)
     frames = range(len(arrays.get("index", ())))
-    each: list[dict[str, Any]] = [
-        {name: arrays[name][k] if name in arrays else None for name in STATE_FIELDS} for k in frames
-    ]
-    return SolvedScene(told["engine"], [State(**one) for one in each], told["why"], tuple(told["heights"]))
+    states = [State(**known | {name: values[k] for name, values in arrays.items()}) for k in frames]
+    return SolvedScene(told["engine"], states, told["why"], tuple(told["heights"]))

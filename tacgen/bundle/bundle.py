@@ -71,13 +71,9 @@ class Writer:
     """
 
     def __init__(self, path: Path, attrs: Mapping[str, Any], frames: int) -> None:
-        own = {
-            "tacgen_format": BUNDLE_FORMAT,
-            "tacgen_version": __version__,
-            "units": UNIT_SYSTEM,
-            "frames_planned": frames,
-        }
         self.path, self.frames, self.appended = Path(path), frames, 0
+        own = {"tacgen_format": BUNDLE_FORMAT, "tacgen_version": __version__, "units": UNIT_SYSTEM}
+        own["frames_planned"] = frames
         self._attrs: dict[str, Any] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
         self._sizes: dict[str, int] = {}
         self._columns: dict[str, Column] = {}

@@ -13,15 +13,8 @@ from tacgen.bundle.scene_words import finger_text, rounded, shape_text
 from tacgen.outputs.contact_modes import CONTACT_MODES
 
 EVENT_MODE_PATH = "/frames/events/mode"
-SEGMENT_VERBS = {  # of an instruction, after the first contact
-    "hold": "hold",
-    "slide": "slide",
-    "twist": "twist",
-    "tilt": "tilt",
-    "lift": "lift",
-    "release": "release",
-    "replay": "move",
-}
+# of an instruction, after the first contact
+SEGMENT_VERBS = {kind: kind for kind in ("hold", "slide", "twist", "tilt", "lift", "release")} | {"replay": "move"}
 
 
 class Change(NamedTuple):
@@ -47,7 +40,9 @@ def caption(bundle: Bundle) -> str:
 def scene_text(bundle: Bundle) -> str:
     """`A sphere, radius 4 mm, on digit: pressed 1 mm deep, slid 1 mm along x`"""
     moves = ", ".join(filter(None, map(move_text, bundle.recipe.get("trajectory", ()))))
-    return f"{_article(text := indenter_text(bundle))} {text}, on {sensor_text(bundle)}" + f": {moves}" * bool(moves)
+    text = indenter_text(bundle)
+    article = "An" if text[:1].lower() in "aeiou" else "A"
+    return f"{article} {text}, on {sensor_text(bundle)}" + f": {moves}" * bool(moves)
 
 
 def task(bundle: Bundle) -> str:
@@ -84,10 +79,6 @@ def indenter_text(bundle: Bundle) -> str:
 def sensor_text(bundle: Bundle) -> str:
     """`digit`; of a grasp `digit (right finger)`."""
     return finger_text(bundle.attrs)
-
-
-def _article(text: str) -> str:
-    return "An" if text[:1].lower() in "aeiou" else "A"
 
 
 def _at(time: float | None) -> str:

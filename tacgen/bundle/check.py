@@ -15,7 +15,7 @@ from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, frame_notes, kept_files
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import attributes, finite_problem
-from tacgen.recipe import approach, matching
+from tacgen.recipe import matching, scene_checks
 from tacgen.sensor.yaml_source import KeyPath, at, describe, format_path, parents_first, parse_path, put
 
 MAX_IMBALANCE = 1e-3  # largest force imbalance, and residual, over the contact force [-]
@@ -34,11 +34,10 @@ MISFIT_ROWS = {  # rows under /frames/quality, and what they mean
     "unseen_force": "pressure and traction do not show gel that is hidden or outside the picture: {} of the normal"
     " forces",
 }
-UNIQUE_PATH, RESIDUAL_PATH, DAMPED_STEPS_PATH = (
-    f"/frames/quality/{name}" for name in ("unique", "residual", "damped_steps")
-)
+UNIQUE_PATH, RESIDUAL_PATH = "/frames/quality/unique", "/frames/quality/residual"
+DAMPED_STEPS_PATH = "/frames/quality/damped_steps"
 FOLDED_NOTE = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
-NO_CONTACT_NOTE = f"the indenter {approach.NO_CONTACT_MESSAGE}"  # beginning of a bundle's note
+NO_CONTACT_NOTE = f"the indenter {scene_checks.NO_CONTACT_MESSAGE}"  # beginning of a bundle's note
 MAX_MATCH_ERROR = 1e-2  # largest difference of a force from the one that a table asks for, over that [-]
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
@@ -286,8 +285,7 @@ def misfits(bundle: Bundle) -> dict[str, np.ndarray]:
 def _maps(bundle: Bundle) -> Iterator[str]:
     """Whether maps add up to the force."""
     for name, value in misfits(bundle).items():
-        bad = value > MAX_MISFIT
-        yield from _say_frames(bad, MISFIT_ROWS[name].format(f"{value.max(initial=0.0):.2g}"))
+        yield from _say_frames(value > MAX_MISFIT, MISFIT_ROWS[name].format(f"{value.max(initial=0.0):.2g}"))
 
 
 def _contact(bundle: Bundle) -> Iterator[str]:
@@ -300,9 +298,8 @@ def _folds(bundle: Bundle) -> Iterator[str]:
     if UNIQUE_PATH in bundle:
         folded = ~bundle[UNIQUE_PATH]
         off = bundle[RESIDUAL_PATH][folded].max(initial=0.0)
-        yield from _say_frames(
-            folded, FOLDED_NOTE + (f", by {off:.1%} out of balance at most" if off > MAX_IMBALANCE else "")
-        )
+        more = f", by {off:.1%} out of balance at most" if off > MAX_IMBALANCE else ""
+        yield from _say_frames(folded, FOLDED_NOTE + more)
 
 
 def _match(bundle: Bundle) -> Iterator[str]:

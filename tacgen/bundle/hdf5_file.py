@@ -257,9 +257,7 @@ def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ..
         raise ValueError(problem)
     if problem := not_here(data):
         raise ValueError(f"{path} {problem}")
-    whole = dtype.itemsize * math.prod(max(1, n) for n in shape)
-    if packing.get_layout() == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(
-        whole, MAX_PADDED_CHUNK_BYTES
-    ):
+    most = max(dtype.itemsize * math.prod(max(1, n) for n in shape), MAX_PADDED_CHUNK_BYTES)
+    if packing.get_layout() == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > most:
         raise ValueError(f"{path} is stored in pieces larger than itself")
     return shape

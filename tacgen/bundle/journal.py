@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field, NonNegativeInt
 
 from tacgen.base import atomic_file, regular_file
-from tacgen.base.errors import UserError, why
+from tacgen.base.errors import UserError
 from tacgen.bundle import stored_json
 from tacgen.bundle.stored_json import Name, Stored, Value
 
@@ -165,11 +165,7 @@ def read_journal(folder: Path) -> Iterator[Event]:
         UserError: a journal cannot be read.
     """
     for path, _ in _files(folder, "journal"):
-        try:
-            lines = regular_file.read_bytes(path, stored_json.MAX_JSON_BYTES).splitlines()
-        except OSError as error:
-            raise UserError(f"{path}: cannot be read: {why(error)}") from None
-        for line in lines:
+        for line in regular_file.content(path, stored_json.MAX_JSON_BYTES).splitlines():
             with suppress(ValueError):
                 yield stored_json.parsed(Event, line)
 

@@ -67,20 +67,15 @@ def _files(row: Row) -> Iterator[tuple[KeyPath, Path]]:
 
 def of(row: Row) -> dict[str, np.ndarray]:
     """The datasets of a scene's files, each (bytes,). Raises OSError: one of them cannot be read."""
-    kept = [(where, path) for where, path in _files(row) if path.stat().st_size < MAX_KEPT_BYTES]
-    return {
-        _dataset(where): np.frombuffer(regular_file.read_bytes(path, MAX_KEPT_BYTES), np.uint8) for where, path in kept
-    }
+    kept = {_dataset(where): path for where, path in _files(row) if path.stat().st_size < MAX_KEPT_BYTES}
+    return {name: np.frombuffer(regular_file.read_bytes(path, MAX_KEPT_BYTES), np.uint8) for name, path in kept.items()}
 
 
 def note(row: Row) -> str:
     """The note on files that are too large to be kept; empty if there are none."""
     names = [path.name for _, path in _files(row) if path.stat().st_size >= MAX_KEPT_BYTES]
-    text = (
-        f"{', '.join(names)} is larger than {MAX_KEPT_BYTES / 1e6:.2g} MB and not in the bundle: keep it beside the "
-        f"bundle"
-    )
-    return text if names else ""
+    large = f"is larger than {MAX_KEPT_BYTES / 1e6:.2g} MB and not in the bundle: keep it beside the bundle"
+    return f"{', '.join(names)} {large}" if names else ""
 
 
 def contents(bundle: Bundle) -> dict[KeyPath, bytes]:
@@ -112,9 +107,8 @@ def runnable(bundle: Bundle) -> dict[str, Any]:
 def _gives(name: str, overrides: str, document: str) -> bool:
     """Whether the file of a sensor, with these overrides (JSON), gives this sensor (JSON)."""
     try:
-        found, _, wrong = loading.named_sensor(
-            Tree({"sensor": name, "sensor_overrides": json.loads(overrides)}), images=False
-        )
+        tree = Tree({"sensor": name, "sensor_overrides": json.loads(overrides)})
+        found, _, wrong = loading.named_sensor(tree, images=False)
         return not wrong and found == parsed(Sensor, document)
     except (UserError, ValueError):
         return False

@@ -53,13 +53,8 @@ def pack(bundles: Sequence[Bundle], out: Path, size_mb: float = 1024.0) -> Packe
                 entry = {"scene": names[i], "shard": number, "frames": kept.frames, "digest": kept.attrs["digest"]}
                 scenes.append({**entry, "values": json.loads(kept.attrs.get("values", "{}"))})
             shards.append({"file": path.name, "bytes": path.stat().st_size})
-        index = {
-            "tacgen_pack": dataset.PACK_FORMAT,
-            "tacgen_version": __version__,
-            "name": good[0].recipe.get("name", ""),
-            "shards": shards,
-            "scenes": scenes,
-        }
+        index = {"tacgen_pack": dataset.PACK_FORMAT, "tacgen_version": __version__}
+        index |= {"name": good[0].recipe.get("name", ""), "shards": shards, "scenes": scenes}
         atomic_file.write(folder / dataset.INDEX_FILE, (json.dumps(index, indent=1) + "\n").encode())
         join(folder)
     left_out = tuple(bundle.path.stem for bundle in bundles if bundle.attrs["status"] != "ok")

@@ -13,7 +13,6 @@ from tacgen.outputs.base import Entry
 BUNDLE_FORMAT = 1
 UNIT_SYSTEM = "mm N MPa s rad"
 
-
 BUNDLE_ATTRS: dict[str, tuple[type, str]] = {
     "tacgen_format": (int, f"format of this file, {BUNDLE_FORMAT}"),
     "tacgen_version": (str, "version of tacgen that wrote it"),

@@ -8,17 +8,13 @@ from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.dataset import contacts
 
+Shares = tuple[float, float, float]  # of train, val and test
 SPLITS = ("train", "val", "test")
 SPLIT_FRACTIONS = (0.8, 0.1, 0.1)  # shares of the contacts in each
 
 
 def divide(
-    scenes: Sequence[Bundle],
-    split: str,
-    fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
-    seed: int = 0,
-    *,
-    by_object: bool = False,
+    scenes: Sequence[Bundle], split: str, fractions: Shares = SPLIT_FRACTIONS, seed: int = 0, *, by_object: bool = False
 ) -> tuple[Bundle, ...]:
     """The scenes of one part, in their original order: all are sorted by a hash of inputs and seed, and divided.
 
@@ -48,11 +44,7 @@ def empty_parts(scenes: Sequence[Bundle]) -> list[str]:
 
 
 def assigned(
-    scenes: Sequence[Bundle],
-    fractions: tuple[float, float, float] = SPLIT_FRACTIONS,
-    seed: int = 0,
-    *,
-    by_object: bool = False,
+    scenes: Sequence[Bundle], fractions: Shares = SPLIT_FRACTIONS, seed: int = 0, *, by_object: bool = False
 ) -> list[str]:
     """The part of each scene, as `divide` chooses it: train, val or test. If there are few, a part may have none.
 

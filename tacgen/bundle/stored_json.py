@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, TypeAdapt
 
 from tacgen.base import regular_file
 from tacgen.base.csv_table import MAX_TABLE_VALUE
-from tacgen.base.errors import UserError, why
+from tacgen.base.errors import UserError
 
 MAX_JSON_BYTES = 2**30  # bytes of a file
 T = TypeVar("T")
@@ -42,10 +42,7 @@ Value = Annotated[JsonValue, AfterValidator(_bounded)]  # of any kind, with numb
 
 def read(kind: type[T], path: Path) -> T:
     """The contents of a file. Raises UserError: it cannot be read, or is damaged."""
-    try:
-        content = regular_file.read_bytes(path, MAX_JSON_BYTES)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {why(error)}") from None
+    content = regular_file.content(path, MAX_JSON_BYTES)
     try:
         return parsed(kind, content)
     except ValueError as error:

@@ -90,9 +90,8 @@ def _refuse(folder: Path, kind: str) -> None:
     listed = read(Listed, folder / EXPORT_LIST_FILE)
     if listed.kind != kind:
         raise UserError(f"{folder}: holds an export for {listed.kind}: choose another folder")
-    strangers = [
-        name for name, size in there.items() if name != EXPORT_LIST_FILE and listed.files.get(name, -1) != size
-    ]
+    known = {**listed.files, EXPORT_LIST_FILE: there[EXPORT_LIST_FILE]}
+    strangers = [name for name, size in there.items() if known.get(name, -1) != size]
     edited = (name for name, digest in listed.digests.items() if name in there and _digest(folder / name) != digest)
     if strangers := strangers or [*edited]:
         raise UserError(f"{folder}: {min(strangers)} is not of the export: move it, or choose another folder")

@@ -22,22 +22,14 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
 ]
-Workers = Annotated[
-    str,
-    typer.Option(
-        "--workers",
-        "-j",
-        metavar="N",
-        help="Number of worker processes, one core each; auto: as cores and memory allow.",
-    ),
-]
+WORKERS_HELP = "Number of worker processes, one core each; auto: as cores and memory allow."
+Workers = Annotated[str, typer.Option("--workers", "-j", metavar="N", help=WORKERS_HELP)]
+Engine = Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster; cuda: a GPU.")]
+Scheduler = Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
-DISK_ERROR_NUMBERS = tuple(
-    getattr(errno, name)
-    for name in (
-        *("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG"),
-        *("EBUSY", "ENXIO"),
-    )
+DISK_ERROR_NUMBERS = (
+    *(errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EDQUOT),
+    *(errno.ENAMETOOLONG, errno.EFBIG, errno.EBUSY, errno.ENXIO),
 )
 MAX_SCENE_COUNT_DIGITS = 7  # of a number of scenes, which are a million at most
 MIN_ADDRESS_SPACE_BYTES = 1_100_000_000  # of a small solve [bytes]; with much less, OpenBLAS ends the process
@@ -260,6 +252,24 @@ def workers_of(text: str) -> int:
     if not _whole(text) >= 1:
         raise UserError(f"--workers {text}: must be a number from 1, or auto")
     return int(text)
+
+
+def made(plan: Any, folder: Path, *, as_json: bool = False, **how: Any) -> Any:
+    """The results of a plan, whose scenes are made with a progress bar and, `as_json`, a line for each event.
+
+    `how`: as of `batch.run`, and so the exceptions.
+    """
+    from tacgen import batch
+    from tacgen.report.progress import Progress
+
+    with Progress(len(plan.rows), sum(plan.frames), noted=noted) as progress:
+
+        def on_event(event: dict[str, Any]) -> None:
+            progress(event)
+            if as_json:
+                line(event)
+
+        return batch.run(plan, folder, on_event=on_event, **how)
 
 
 def priced(plan: Any, workers: int) -> dict[str, Any]:

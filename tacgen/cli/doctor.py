@@ -17,6 +17,8 @@ NEEDED_PACKAGES = (
 )
 REPLACEABLE_PACKAGES = ("cvxopt", "pymetis")  # optional: without them another linear solver is used
 MIN_FREE_DISK_GB = 1.0  # free disk below which a warning is given [GB]
+WARM_TRAJECTORY = "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
+WARM_OUTPUTS = "force, traction, force_map, height, normals, gap, flow, material, rgb, stress"
 
 
 class Diagnosis(NamedTuple):
@@ -38,6 +40,30 @@ def examine() -> list[Diagnosis]:
             said = f"{type(error).__name__}: {error}".split("\n")[0]
             diagnoses.append(Diagnosis(trial.__name__.strip("_"), False, said))
     return diagnoses
+
+
+def warm() -> Iterator[Diagnosis]:
+    """Compile all code and fill the caches, so that later runs start at once: press a ball on each shipped sensor with
+    all outputs, and note the time or what went wrong."""
+    from tacgen.base.errors import UserError
+    from tacgen.base.machine import cores
+    from tacgen.batch.local import Pool
+    from tacgen.recipe import assets, plan
+
+    recipe = assets.recipe_path("quickstart")
+    with tempfile.TemporaryDirectory() as folder, Pool(min(2, cores())) as pool:
+        for sensor in assets.list_sensors():
+            try:
+                (row,) = plan.load(recipe, [f"sensor={sensor}", "outputs=[force]", WARM_TRAJECTORY]).rows
+                outputs = WARM_OUTPUTS if row.sensor.markers is None else f"{WARM_OUTPUTS}, markers"
+                (row,) = plan.load(recipe, [f"sensor={sensor}", f"outputs=[{outputs}]", WARM_TRAJECTORY]).rows
+            except UserError as error:  # its images need a package that is not installed
+                yield Diagnosis(sensor, False, error.lines[0])
+                continue
+            (result,) = pool.run([row], Path(folder) / sensor)
+            seconds = sum(result.seconds.values())
+            took = f"{seconds:.0f} s, {result.seconds.get('compile', 0.0):.0f} s of them compiling"
+            yield Diagnosis(sensor, result.status == "ok", result.reason or took)
 
 
 def _python() -> Iterator[Diagnosis]:

@@ -16,12 +16,14 @@ from tacgen.cli.calibrate import calibrations
 from tacgen.cli.common import (
     AsJson,
     Bundles,
+    Engine,
     Overwrite,
+    Scheduler,
     Sets,
     Workers,
     app,
     line,
-    noted,
+    made,
     plan_of,
     priced,
     probe,
@@ -41,6 +43,7 @@ from tacgen.report.sheet import counted
 __all__ = ["app"]
 
 RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file, or the name of a shipped recipe.")]
+RENEW_HELP = "Replace bundles of other inputs or of another tacgen, and remove those that the plan no longer has."
 EXPORT_FORMATS = "lerobot, webdataset, zarr, sparsh, feats, feelanyforce, univtac, rerun, vtkhdf or exr"
 Merge = Annotated[bool, typer.Option("--merge", help="Take several data sets below the folder as one.")]
 
@@ -72,15 +75,9 @@ def run(
     shard: Annotated[
         str, typer.Option(metavar="I/N", help="Run only part I of N of the scenes, I from 0 to N-1: for job arrays.")
     ] = "0/1",
-    overwrite: Annotated[
-        bool,
-        typer.Option(
-            "--overwrite",
-            help="Replace bundles of other inputs or of another tacgen, and remove those that the plan no longer has.",
-        ),
-    ] = False,
-    engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster; cuda: a GPU.")] = "local",
-    scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")] = "",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help=RENEW_HELP)] = False,
+    engine: Engine = "local",
+    scheduler: Scheduler = "",
     silence_s: Annotated[float, typer.Option(min=0.1, help="Stop a scene without a new frame for so long.")] = 1800,
     memory_gb: Annotated[
         float | None, typer.Option(min=0.01, help="Stop a scene that uses more memory; default: an equal share.")
@@ -101,29 +98,13 @@ def run(
         return
     with writing(out):
         probe(out)
-        from tacgen import batch
+        from tacgen.batch import Limits
         from tacgen.bundle.check import UNIQUE_PATH
         from tacgen.report import dataset_card
-        from tacgen.report.progress import Progress
 
-        with Progress(len(plan.rows), sum(plan.frames), noted=noted) as progress:
-
-            def on_event(event: dict[str, Any]) -> None:
-                progress(event)
-                if as_json:
-                    line(event)
-
-            results = batch.run(
-                plan,
-                out,
-                workers=processes,
-                overwrite=overwrite,
-                shard=None if shard == "0/1" else part,
-                limits=batch.Limits(silence_s, memory_gb),
-                engine=engine,
-                scheduler=scheduler,
-                on_event=on_event,
-            )
+        how: dict[str, Any] = {"workers": processes, "engine": engine, "scheduler": scheduler, "overwrite": overwrite}
+        how |= {"shard": None if shard == "0/1" else part, "limits": Limits(silence_s, memory_gb)}
+        results = made(plan, out, as_json=as_json, **how)
         if any(result.status == "ok" for result in results):
             card = dataset_card.write(out, (bundle for result in results for bundle in result.bundles))
             if card != out / dataset_card.CARD_FILE:
@@ -158,9 +139,8 @@ def status(
     said = [scene for scene in surveyed.scenes if scene.reason]
     plain = [{"scene": scene.name, "state": scene.state, "reason": scene.reason} for scene in surveyed.scenes]
     lines = [f"{scene.name}: {scene.state}: {scene.reason}" for scene in said]
-    lines.append(
-        f"{folder}: {surveyed.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
-    )
+    states = ", ".join(f"{number} {state}" for state, number in count.items())
+    lines.append(f"{folder}: {surveyed.name}, {counted(total, 'scene')}: {states}")
     if left_out := dataset.unplanned(folder):
         lines.append(f"not of the plan, left out: {dataset.some([path.name for path in left_out])}")
     if cost := estimate.left(surveyed):
@@ -230,8 +210,8 @@ def show_plan(
         cost = priced(plan, workers_of(workers))
         show_result(cost, f"{counted(len(plan.rows), 'scene')} of {plan.name}: {cost['text']}", as_json)
         return
-    made = plan_table.as_json(plan) if as_json else plan_table.as_csv(plan) if as_csv else ""
-    tell(made or plan_table.as_text(plan, get_terminal_size().columns), end=False)
+    table = plan_table.as_json(plan) if as_json else plan_table.as_csv(plan) if as_csv else ""
+    tell(table or plan_table.as_text(plan, get_terminal_size().columns), end=False)
 
 
 @app.command()
@@ -277,10 +257,7 @@ def show_list(
 
 
 @app.command()
-def check(
-    path: Bundles,
-    as_json: AsJson = False,
-) -> None:
+def check(path: Bundles, as_json: AsJson = False) -> None:
     """Check that bundles are complete and unchanged, values finite, forces balanced; all but notes give exit code 1."""
     from tacgen.bundle.check import check as find
 
@@ -305,12 +282,12 @@ def pack(
     from tacgen.bundle.pack import pack as pack_scenes
 
     with writing(out):
-        made = pack_scenes(scenes(source, merge=merge), out, size_mb)
-    text = f"{out}: {counted(made.scenes, 'scene')} in {counted(len(made.shards), 'shard')}, {made.frames} frames"
-    if made.left_out:
-        text += f"; left out {counted(len(made.left_out), 'rejected scene')}"
-    plain = {"folder": str(out), "scenes": made.scenes, "frames": made.frames, "left_out": made.left_out}
-    show_result({**plain, "shards": [str(path) for path in made.shards]}, text, as_json)
+        done = pack_scenes(scenes(source, merge=merge), out, size_mb)
+    text = f"{out}: {counted(done.scenes, 'scene')} in {counted(len(done.shards), 'shard')}, {done.frames} frames"
+    if done.left_out:
+        text += f"; left out {counted(len(done.left_out), 'rejected scene')}"
+    plain = {"folder": str(out), "scenes": done.scenes, "frames": done.frames, "left_out": done.left_out}
+    show_result({**plain, "shards": [str(path) for path in done.shards]}, text, as_json)
 
 
 for command in (replay, report, show, touch, view):
@@ -336,8 +313,8 @@ def export(
 
     page = hub_card.writer(kind, source, out, licence=licence, merge=merge) if card else None
     with writing(out):
-        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite, card=page, tell=warn)
-    show_result([str(path) for path in made], "\n".join(map(str, made)), as_json)
+        files = exporting.export(kind, source, out, merge=merge, overwrite=overwrite, card=page, tell=warn)
+    show_result([str(path) for path in files], "\n".join(map(str, files)), as_json)
 
 
 @app.command()
@@ -352,9 +329,7 @@ def doctor(
 
     findings = checkup.examine()
     if warm:
-        from tacgen.batch import warm as preparing
-
-        findings += [checkup.Diagnosis(*sensor) for sensor in preparing.warm()]
+        findings += checkup.warm()
     lines = [f"{'ok ' if f.ok else 'BAD' if f.needed else '-- '} {f.name:<20} {f.note}" for f in findings]
     show_result([f._asdict() for f in findings], "\n".join(lines), as_json)
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)

@@ -1,7 +1,7 @@
 """The command that solves the contacts of another simulator again, and compares the forces."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -11,7 +11,7 @@ from tacgen.cli.common import (
     Overwrite,
     Sets,
     Workers,
-    noted,
+    made,
     plan_of,
     probe,
     show_result,
@@ -20,15 +20,12 @@ from tacgen.cli.common import (
     writing,
 )
 
+RECIPE_HELP = "A recipe: all but its movements is used, and the sensor_pose and indenter_pose of a replay."
+
 
 def replay(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of contacts: CSV, npz or HDF5.")],
-    recipe: Annotated[
-        str,
-        typer.Option(
-            help="A recipe: all but its movements is used, and the sensor_pose and indenter_pose of a replay."
-        ),
-    ],
+    recipe: Annotated[str, typer.Option(help=RECIPE_HELP)],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for recipe, bundles and the comparison.")],
     layout: Annotated[
         str, typer.Option("--from", help="Whose names the arrays have: tacgen, isaaclab, mujoco, newton or genesis.")
@@ -63,7 +60,8 @@ def replay(
             logs, recipe, out, how, choice, environments=environments or (), sets=sets or (), overwrite=overwrite
         )
         warn(prepared.notes)
-        results = _run(plan_of(str(prepared.recipe), list(prepared.sets)), out, processes, overwrite)
+        plan = plan_of(str(prepared.recipe), list(prepared.sets))
+        results = made(plan, out, workers=processes, overwrite=overwrite)
         found = replaying.compared(prepared, results)
         written = comparison.write(found, out, logs, overwrite=overwrite)
     plain = {"files": [str(path) for path in written], "logs": [one.summary() for one in found]}
@@ -71,15 +69,6 @@ def replay(
     lines += [f"{result.name}: {result.status}: {result.reason}" for result in results if result.status == "failed"]
     show_result(plain, "\n".join(lines), as_json)
     raise typer.Exit(0 if all(result.status == "ok" for result in results) else 1)
-
-
-def _run(plan: Any, out: Path, workers: int, overwrite: bool) -> Any:
-    """Make the scenes of a plan with a progress bar."""
-    from tacgen import batch
-    from tacgen.report.progress import Progress
-
-    with Progress(len(plan.rows), sum(plan.frames), noted=noted) as progress:
-        return batch.run(plan, out, workers=workers, overwrite=overwrite, on_event=progress)
 
 
 def _rows(text: str) -> tuple[int, int | None]:

@@ -1,5 +1,6 @@
 """The command that adds what robots' fingers feel to episodes that were recorded without it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,11 +11,12 @@ from tacgen.base.errors import UserError
 from tacgen.base.terminal import say
 from tacgen.cli.common import (
     AsJson,
+    Engine,
     Overwrite,
+    Scheduler,
     Sets,
     Workers,
-    line,
-    noted,
+    made,
     priced,
     probe,
     shard_of,
@@ -25,24 +27,16 @@ from tacgen.cli.common import (
 )
 
 MIN_TIMED_FRAMES = 500  # to be solved; the cost of fewer is not worth the time that an estimate takes
+SENSOR_HELP = "A finger: left=gelsight_mini@left_pad; one for each."
+OUT_HELP = "The copy, with touch; or of one episode a film (.webp, .gif) or Rerun's .rrd."
+MOUNT_HELP = "Pose of a sensor in its body: the face's middle [mm], z out of the gel."
+MATCH_HELP = "What of the log is kept: pose, force, or grip of both fingers, which costs most."
 
 
 def touch(
     episodes: Annotated[Path, typer.Argument(help="A LeRobot folder, HDF5 of states, UMI's zarr, CSV or npz.")],
-    sensors: Annotated[
-        list[str],
-        typer.Option(
-            "--sensor", metavar="NAME=SENSOR@BODY", help="A finger: left=gelsight_mini@left_pad; one for each."
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            help="The copy, with touch; or of one episode a film (.webp, .gif) or Rerun's .rrd.",
-        ),
-    ],
+    sensors: Annotated[list[str], typer.Option("--sensor", metavar="NAME=SENSOR@BODY", help=SENSOR_HELP)],
+    out: Annotated[Path, typer.Option("--out", "-o", help=OUT_HELP)],
     objects: Annotated[
         list[str] | None, typer.Option("--object", help="What fingers may touch; can be given many times.")
     ] = None,
@@ -51,17 +45,9 @@ def touch(
         Path | None, typer.Option(help="YAML: which columns are joints, poses and forces, and units.")
     ] = None,
     mounts: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--mount",
-            metavar="NAME=X,Y,Z[,QW,QX,QY,QZ]",
-            help="Pose of a sensor in its body: the face's middle [mm], z out of the gel.",
-        ),
+        list[str] | None, typer.Option("--mount", metavar="NAME=X,Y,Z[,QW,QX,QY,QZ]", help=MOUNT_HELP)
     ] = None,
-    match: Annotated[
-        str,
-        typer.Option(help="What of the log is kept: pose, force, or grip of both fingers, which costs most."),
-    ] = "pose",
+    match: Annotated[str, typer.Option(help=MATCH_HELP)] = "pose",
     near_mm: Annotated[float, typer.Option(help="Rows are solved that bring an object so near to a gel.")] = 1.0,
     rate: Annotated[
         float | None, typer.Option(min=1e-3, help="Frames of the solve in a second; default: the episodes'.")
@@ -74,13 +60,10 @@ def touch(
     quality: Annotated[str, typer.Option(help="draft, default or reference.")] = "draft",
     sets: Sets = None,
     chosen: Annotated[str, typer.Option("--episodes", metavar="FIRST:LAST", help="Only these, from 0.")] = "",
-    bundles: Annotated[
-        Path | None,
-        typer.Option(help="Folder for recipes and bundles; default: OUT-bundles."),
-    ] = None,
+    bundles: Annotated[Path | None, typer.Option(help="Folder for recipes and bundles; default: OUT-bundles.")] = None,
     workers: Workers = "1",
-    engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster; cuda: a GPU.")] = "local",
-    scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")] = "",
+    engine: Engine = "local",
+    scheduler: Scheduler = "",
     shard: Annotated[
         str, typer.Option(metavar="I/N", help="Only solve part I of N; the command without it writes the copy.")
     ] = "0/1",
@@ -102,11 +85,15 @@ def touch(
     asked = scenes.TouchChoice(match, near_mm, rates, friction, quality, tuple(sets or ()))
     source = sources.open_source(episodes, model, tuple(objects or ()), columns)
     only = _range(chosen)
+
+    def prepared_in(place: Path) -> tuple[scenes.TouchScenes, dict[str, Any]]:
+        prepared = scenes.prepare(source, fingers, asked, place, only, overwrite=overwrite)
+        warn([*prepared.plan.warnings, *prepared.notes])
+        return prepared, plan_text.summary(prepared, source.fps)
+
     if dry_run:
         with TemporaryDirectory() as name:
-            prepared = scenes.prepare(source, fingers, asked, Path(name), only)
-            warn([*prepared.plan.warnings, *prepared.notes])
-            said = plan_text.summary(prepared, source.fps)
+            prepared, said = prepared_in(Path(name))
             said["cost"] = priced(prepared.plan, processes)
         show_result(said, f"{plan_text.text(said)}\n{said['cost']['text']}", as_json)
         return
@@ -114,17 +101,15 @@ def touch(
     folder = bundles or out.with_name(f"{out.name}-bundles")
     with writing(folder), output_file.gone_if_refused(folder):
         probe(folder)
-        prepared = scenes.prepare(source, fingers, asked, folder, only, overwrite=overwrite)
-        warn([*prepared.plan.warnings, *prepared.notes])
-        said = plan_text.summary(prepared, source.fps)
+        prepared, said = prepared_in(folder)
         say(plan_text.text(said), err=True)
         if said["frames"] >= MIN_TIMED_FRAMES:
             said["cost"] = priced(prepared.plan, processes)
             say(str(said["cost"]["text"]), err=True)
-        how = {"workers": processes, "engine": engine, "scheduler": scheduler, "overwrite": overwrite}
+        how: dict[str, Any] = {"workers": processes, "engine": engine, "scheduler": scheduler, "overwrite": overwrite}
         whole = shard == "0/1"
         planned = prepared.plan if whole else scenes.shard(prepared.plan, part)
-        results = _run(planned, folder, how | {"shard": None if whole else part}, as_json)
+        results = made(planned, folder, as_json=as_json, shard=None if whole else part, **how)
     failed = [f"{one.name}: {one.status}: {one.reason}" for one in results if one.status != "ok"]
     if not whole:
         show_result({"folder": str(folder), **said}, "\n".join([*failed, f"{folder}: part {shard} is solved"]), as_json)
@@ -136,21 +121,6 @@ def touch(
     lines = [*failed, *plan_text.notes(prepared.episodes, touches), *plan_text.engine_lines(said["engine"])]
     show_result(said, "\n".join([*lines, *map(str, paths)]), as_json)
     raise typer.Exit(1 if failed or prepared.notes else 0)
-
-
-def _run(plan: Any, folder: Path, how: dict[str, Any], as_json: bool) -> Any:
-    """Solve the scenes of a plan with a progress bar."""
-    from tacgen import batch
-    from tacgen.report.progress import Progress
-
-    with Progress(len(plan.rows), sum(plan.frames), noted=noted) as progress:
-
-        def on_event(event: dict[str, Any]) -> None:
-            progress(event)
-            if as_json:
-                line(event)
-
-        return batch.run(plan, folder, on_event=on_event, **how)
 
 
 def _fingers(sensors: list[str], mounts: list[str]) -> list[Any]:
@@ -172,13 +142,10 @@ def _fingers(sensors: list[str], mounts: list[str]) -> list[Any]:
             if len(numbers) not in (3, 7) or name not in found:
                 raise ValueError
             keys = {"position_mm": numbers[:3], **({"quaternion": numbers[3:]} if numbers[3:] else {})}
-            one = found[name]
-            found[name] = Finger(one.name, one.sensor, one.body, Placement.model_validate(keys))
+            found[name] = replace(found[name], mount=Placement.model_validate(keys))
         except ValueError:
-            names = ", ".join(found)
-            raise UserError(
-                f"--mount {text}: must be NAME=X,Y,Z or NAME=X,Y,Z,QW,QX,QY,QZ, of a finger: {names}"
-            ) from None
+            told = f"must be NAME=X,Y,Z or NAME=X,Y,Z,QW,QX,QY,QZ, of a finger: {', '.join(found)}"
+            raise UserError(f"--mount {text}: {told}") from None
     places: dict[Any, str] = {}
     for name, one in found.items():
         if (other := places.setdefault((one.body, one.mount.model_dump_json()), name)) != name:

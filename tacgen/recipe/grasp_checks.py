@@ -19,40 +19,32 @@ GRASP_MOVES = (*GRIPPER_MOVES, "tilt", "hold", "replay")  # all movements of a g
 
 def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders) -> list[Issue]:
     """Problems of a grasp; without a grasp, of movements that need one."""
-    grasp = recipe.grasp
+    grasp, wrong = recipe.grasp, list[Issue]()
+    matches = [(i, step.replay.match) for i, step in enumerate(recipe.trajectory) if step.replay]
     if grasp is None:
-        return [
-            Issue(("trajectory", i, step.kind), "needs a grasp: add one, or leave this movement out", at_key=True)
-            for i, step in enumerate(recipe.trajectory)
-            if step.kind in GRIPPER_MOVES
-        ] + [
-            Issue(("trajectory", i, "replay", "match"), "cannot be grip without a grasp: add one, or take force")
-            for i, step in enumerate(recipe.trajectory)
-            if step.replay and step.replay.match == "grip"
-        ]
-    wrong = [
-        Issue(
-            ("trajectory", i, step.kind), f"is no movement of a grasp, which has {', '.join(GRASP_MOVES)}", at_key=True
-        )
-        for i, step in enumerate(recipe.trajectory)
-        if step.kind not in GRASP_MOVES
-    ]
-    first = recipe.trajectory[0].replay
-    if recipe.trajectory[0].kind != "close" and not (first and first.matched) and not wrong:
+        for i, step in enumerate(recipe.trajectory):
+            if step.kind in GRIPPER_MOVES:
+                text = "needs a grasp: add one, or leave this movement out"
+                wrong.append(Issue(("trajectory", i, step.kind), text, at_key=True))
+        text = "cannot be grip without a grasp: add one, or take force"
+        return wrong + [Issue(("trajectory", i, "replay", "match"), text) for i, match in matches if match == "grip"]
+    for i, step in enumerate(recipe.trajectory):
+        if step.kind not in GRASP_MOVES:
+            text = f"is no movement of a grasp, which has {', '.join(GRASP_MOVES)}"
+            wrong.append(Issue(("trajectory", i, step.kind), text, at_key=True))
+        if isinstance(step.move, Timed) and step.move.duration_s is not None:
+            still = "has no effect in a grasp, which is quasi-static: leave it out"
+            wrong.append(Issue(("trajectory", i, step.kind, "duration_s"), still))
+    first, known = recipe.trajectory[0], all(step.kind in GRASP_MOVES for step in recipe.trajectory)
+    if known and first.kind != "close" and not (first.replay and first.replay.matched):
         text = "must be close, or a replay with match: grip: a grasp begins with closed fingers"
         wrong.append(Issue(("trajectory", 0), text))
-    for i, step in enumerate(recipe.trajectory):
-        if step.replay and step.replay.matched and (i or step.replay.match == "force"):
-            text = "cannot be force in a grasp: take grip" if step.replay.match == "force" else LATE_TABLE_MESSAGE
+    for i, match in matches:
+        if match == "force" or (match == "grip" and i):
+            text = "cannot be force in a grasp: take grip" if match == "force" else LATE_TABLE_MESSAGE
             wrong.append(Issue(("trajectory", i, "replay", "match"), text))
     if recipe.force_error is not None:
         wrong.append(Issue(("quality", "force_error"), "is not known for a grasp: give edge_mm"))
-    still = "has no effect in a grasp, which is quasi-static: leave it out"
-    wrong += [
-        Issue(("trajectory", i, step.kind, "duration_s"), still)
-        for i, step in enumerate(recipe.trajectory)
-        if isinstance(step.move, Timed) and step.move.duration_s is not None
-    ]
     for key, usual in (("start", Start()), ("dynamics", None)):
         if getattr(recipe, key) != usual:
             wrong.append(Issue((key,), "has no effect in a grasp: leave it out", at_key=True))

@@ -50,9 +50,8 @@ def build(row: Row) -> GraspScene:
     gripper, width, force, part, wanted = _path(row, down, begin, opening, opening - 2 * thin)
     for number, step in enumerate(recipe.trajectory):
         if isinstance(step.move, Close) and (step.move.width_mm or opening) <= opening - 2 * thin:
-            raise UserError(
-                f"trajectory[{number}].close.width_mm: {TOO_CLOSE_MESSAGE.format(opening - 2 * thin, opening)}"
-            )
+            told = TOO_CLOSE_MESSAGE.format(opening - 2 * thin, opening)
+            raise UserError(f"trajectory[{number}].close.width_mm: {told}")
     segment = np.repeat(np.arange(len(recipe.trajectory)), [step.frames for step in recipe.trajectory])
     closed = opening - COARSE_SOLVE_DEPTH_RATIO * thin if np.isfinite(force).any() else np.nanmin([*width, opening])
     sunk = max(float(((gripper[0, :3, 3] - gripper[:, :3, 3]) @ down).max()), 0.0)  # if the object stays on the table

@@ -164,25 +164,27 @@ def _extended(source: Path | Tree, chain: tuple[Path, ...]) -> Tree:
     """The tree of a recipe merged over the one it extends. `chain` holds the files that extend it."""
     tree = source if isinstance(source, Tree) else load(source)
     path = None if isinstance(source, Tree) else source
+
+    def refused(text: str, *place: str) -> UserError:
+        return report([(Issue(place, text), tree)])
+
     if not isinstance(tree.data, dict):
-        raise report([(Issue((), f"a recipe must be a mapping (got {describe(tree.data)})"), tree)])
+        raise refused(f"a recipe must be a mapping (got {describe(tree.data)})")
     if "tacgen_sensor" in tree.data:
         name = "my_sensor.yaml" if path is None else path.name
-        text = f"is a sensor file, not a recipe: a recipe names it, as in sensor: {name}"
-        raise report([(Issue((), text), tree)])
+        raise refused(f"is a sensor file, not a recipe: a recipe names it, as in sensor: {name}")
     if "extends" not in tree.data:
         return tree
-    name, place = tree.data["extends"], ("extends",)
-    here = chain if path is None else (*chain, path.resolve())
+    name, here = tree.data["extends"], chain if path is None else (*chain, path.resolve())
     if not isinstance(name, str) or not name:
-        text = f"must be the path of a recipe, or the name of a shipped one (got {describe(name)})"
-        raise report([(Issue(place, text), tree)])
+        told = f"must be the path of a recipe, or the name of a shipped one (got {describe(name)})"
+        raise refused(told, "extends")
     try:
         other = assets.recipe_path(name, None if path is None else path.parent)
     except UserError as error:
-        raise report([(Issue(place, error.lines[0]), tree)]) from None
+        raise refused(error.lines[0], "extends") from None
     if other.resolve() in here:
-        raise report([(Issue(place, f"{name} is extended by this very recipe: extend another"), tree)])
+        raise refused(f"{name} is extended by this very recipe: extend another", "extends")
     return _extended(other, here).merged(tree.without("extends"))
 
 
@@ -227,20 +229,13 @@ def _overridden_sensor(
     if not isinstance(sensor_tree.data, dict):
         wrong = Issue((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
         return None, Tree(None), [(wrong, sensor_tree)]
-    sensor_tree, lost = _overridden(sensor_tree, tree)
-    sensor, of_sensor = sensor_checks.check(sensor_tree.data, solid_folder(sensor_tree), images)
-    return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in of_sensor]
-
-
-def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Issue]]:
-    """Apply `sensor_overrides` to a sensor's tree: keys are paths, parents first, and mappings are merged."""
-    overrides = recipe.data.get("sensor_overrides")
-    problems: list[Issue] = []
-    for key in parents_first(overrides) if isinstance(overrides, dict) else ():
+    overrides, lost = tree.data.get("sensor_overrides"), list[tuple[Issue, Tree]]()
+    for key in parents_first(overrides) if isinstance(overrides, dict) else ():  # paths; mappings are merged
         here: KeyPath = ("sensor_overrides", key)
         try:
-            sensor = sensor.merged(recipe.under(here), parse_path(key))
+            sensor_tree = sensor_tree.merged(tree.under(here), parse_path(key))
         except (ValueError, LookupError) as error:
-            hint = suggest(key, sensor.data) if "." not in key else ""
-            problems.append(Issue(here, f"{error}{hint}", at_key=True))
-    return sensor, problems
+            hint = suggest(key, sensor_tree.data) if "." not in key else ""
+            lost.append((Issue(here, f"{error}{hint}", at_key=True), tree))
+    sensor, of_sensor = sensor_checks.check(sensor_tree.data, solid_folder(sensor_tree), images)
+    return sensor, sensor_tree, lost + [(problem, sensor_tree) for problem in of_sensor]

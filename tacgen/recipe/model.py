@@ -132,9 +132,8 @@ class QualityNumbers(Part):
     edge_mm: Positive | None = None
     dhat_mm: Positive | None = None
     spp: Annotated[int, Field(ge=1)] | None = None
-    force_error: Annotated[float, Field(gt=0, le=0.5)] | None = (
-        None  # expected, of the force [-]: chooses edge and dhat
-    )
+    # expected, of the force [-]: chooses edge and dhat
+    force_error: Annotated[float, Field(gt=0, le=0.5)] | None = None
 
     @model_validator(mode="after")
     def _by_one(self) -> "QualityNumbers":

@@ -28,6 +28,7 @@ from tacgen.sensor.yaml_source import KeyPath, Tree, at, format_path, is_within,
 
 UNVARIED_KEYS = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
 MAX_SCENES = 1_000_000
+OnSensor = tuple[Sensor, dict[KeyPath, Path]]  # a sensor, and where the path of its gel's solid starts
 
 
 class Rows(Sequence[Row]):
@@ -106,11 +107,9 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
     drawn = draw(vary, wanted)
 
     def attempt(k: int, *, checking: bool) -> tuple[Row | None, list[Issue]]:
-        index, values = wanted[k], drawn(k)
+        values = drawn(k)
         chosen = named[values["sensor"]] if "sensor" in values else known
-        pair = index // len(recipe.sensors) if recipe.sensors else None
-        seed = scene_seed(vary.seed, index)
-        return _resolve(index, values, base, *chosen, seed, pair, tree, vary, checking=checking)
+        return _resolve(wanted[k], values, base, chosen, loaded, checking=checking)
 
     def resolve(k: int) -> Row:
         row, _ = attempt(k, checking=False)
@@ -176,15 +175,12 @@ def _check(vary: Vary, tree: Tree) -> None:
         raise UserError(problem.point(tree) for problem in problems)
 
 
-def _named(
-    vary: Vary, tree: Tree, images: bool
-) -> tuple[dict[str, tuple[Sensor, dict[KeyPath, Path]]], tuple[str, ...]]:
-    """The sensors that a `vary` names, the recipe's overrides laid over each, where their solids' paths start; and
-    warnings about them.
+def _named(vary: Vary, tree: Tree, images: bool) -> tuple[dict[str, OnSensor], tuple[str, ...]]:
+    """The sensors that a `vary` names, the recipe's overrides laid over each; and warnings about them.
 
     Raises UserError: every problem of all of them.
     """
-    sensors, problems = {}, []
+    sensors, problems = dict[str, OnSensor](), []
     told: tuple[str, ...] = ()
     if where := vary.paths.get("sensor"):
         for name in getattr(vary, str(where[1]))["sensor"].choice:
@@ -200,19 +196,11 @@ def _named(
 
 
 def _resolve(
-    index: int,
-    values: dict[str, Any],
-    base: dict[str, Any],
-    sensor: Sensor,
-    solid: dict[KeyPath, Path],
-    seed: int,
-    pair: int | None,
-    tree: Tree,
-    vary: Vary,
-    *,
-    checking: bool,
+    index: int, values: dict[str, Any], base: dict[str, Any], chosen: OnSensor, loaded: Loaded, *, checking: bool
 ) -> tuple[Row | None, list[Issue]]:
     """One row, `checking` it as if a person had written it; or what is wrong with it."""
+    (sensor, solid), tree, vary, sensors = chosen, loaded.tree, loaded.recipe.vary, loaded.recipe.sensors
+    assert vary is not None
     data, plain_sensor, wrong = _laid_over(base, sensor, values)
     if wrong:
         return None, wrong
@@ -236,7 +224,8 @@ def _resolve(
     wrong += [problem for problem, _ in lacking]
     if wrong:
         return None, wrong
-    complete = resolved(recipe, starts)
+    seed, complete = scene_seed(vary.seed, index), resolved(recipe, starts)
+    pair = index // len(sensors) if sensors else None
     return Row(index, f"scene-{index:05d}", seed, complete, sensor, values, starts, other, pair=pair), []
 
 

@@ -35,7 +35,7 @@ COLUMN_TITLES = {
 }
 BODY_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 SENSOR_COLUMNS = tuple(f"sensor_{name}" for name in BODY_COLUMNS)  # all of them, or none
-OBJECT_COLUMNS = tuple(f"object_{name}" for name in BODY_COLUMNS)  # all of them, or none
+OBJECT_COLUMNS = tuple(f"object_{name}" for name in BODY_COLUMNS)  # likewise
 FORCE_COLUMNS = ("force_x", "force_y", "force_z")  # used by a replay with match: force
 OPTIONAL_CELLS = {*OBJECT_COLUMNS, *FORCE_COLUMNS, "grip", "width"}  # columns whose cells may be empty
 LENGTH_COLUMNS = (*BODY_COLUMNS[:3], *SENSOR_COLUMNS[:3], *OBJECT_COLUMNS[:3], "width")
@@ -171,9 +171,8 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
             bare, unit_said = (stem, suffix) if stem and suffix in known else (name, "")
             if titles.get(title) == column or (column not in columns and bare in names):
                 if column in where:
-                    raise UserError(
-                        f"the columns {header[where[column]]} and {title} are both {column}: name one under columns"
-                    )
+                    both = f"{header[where[column]]} and {title}"
+                    raise UserError(f"the columns {both} are both {column}: name one under columns")
                 where[column], said[column] = i, unit_said or ("ns" if bare == "%time" else "")
     wrong = []
     if lost := [title for title, column in titles.items() if column not in where]:

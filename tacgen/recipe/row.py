@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from tacgen.recipe import assets, background_photo
-from tacgen.recipe.checks import timed
+from tacgen.recipe import assets
+from tacgen.recipe.checks import BACKGROUND_KEY, timed
 from tacgen.recipe.loading import SOLID_FILE_KEY
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.pose_table import TimedPose
@@ -80,7 +80,7 @@ class Row:
     def photo_path(self) -> Path | None:
         """The photograph behind the pictures, if there is one."""
         name = self.recipe.render.background
-        return None if name is None else assets.beside(name, self.folders.get(background_photo.BACKGROUND_KEY))
+        return None if name is None else assets.beside(name, self.folders.get(BACKGROUND_KEY))
 
     @property
     def mesh_path(self) -> Path:

@@ -11,10 +11,11 @@ from tacgen.base.errors import UserError
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
+from tacgen.mechanics.expected_error import Expected, expected_force_error
 from tacgen.mechanics.scene import GelDynamics, Scene
-from tacgen.recipe import indenters, quality_by_error, trajectory
-from tacgen.recipe.checks import timed
-from tacgen.recipe.model import Recipe
+from tacgen.recipe import indenters, trajectory
+from tacgen.recipe.checks import MAX_EDGE_PER_THICKNESS, timed
+from tacgen.recipe.model import QUALITIES, QualityNumbers, Recipe
 from tacgen.recipe.path import Path as IndenterPath
 from tacgen.recipe.path import indenter_path, sunk_beside
 from tacgen.recipe.row import Row
@@ -26,6 +27,9 @@ MATCHED_FORCE_TOL = 2e-3  # of a force that is asked for on several sensors: wit
 SDF_CELL_PER_EDGE = 0.25  # cell of a mesh's signed distance over the element edge [-]
 # radius of a mesh's sharp edges over dhat [-]: the mean gap of a light press, which contact takes off
 SHARP_RADIUS_PER_DHAT = 0.75
+# element edges [mm] between which one is chosen by the error of the force: finer ones take minutes a frame
+MIN_CHOSEN_EDGE_MM, MAX_CHOSEN_EDGE_MM = 0.15, 1.0
+TRIED_EDGE_RATIO = 0.97  # ratio of two edges that are tried [-]
 
 
 def _reach_of_gel(row: Row, solid: mesh_file.SolidMesh) -> tuple[float, float]:
@@ -85,10 +89,38 @@ def build(row: Row) -> Scene:
     scene = _scene(row)
     if (error := row.recipe.force_error) is None:
         return scene
-    if (numbers := quality_by_error.chosen(scene, error)) is None:  # nothing touches
+    if (numbers := _by_error(scene, error)) is None:  # nothing touches
         return scene
     numbers = numbers.model_copy(update={"spp": row.recipe.resolved().spp})
     return _scene(replace(row, recipe=row.recipe.model_copy(update={"quality": numbers})))
+
+
+def _by_error(scene: Scene, error: float) -> QualityNumbers | None:
+    """The longest edge with this expected error of the force [-], and the range of contact that belongs to it; None if
+    nothing touches. Raises UserError: the error of this scene is not known, or asks for too short edges."""
+    expected = Expected.of(scene)
+    if expected is None:
+        if scene.element == "linear_tet":
+            raise UserError("quality.force_error: is not known for linear tetrahedra: give edge_mm")
+        return None
+    most = min(MAX_CHOSEN_EDGE_MM, MAX_EDGE_PER_THICKNESS * scene.gel.thickness)
+    edge = expected.edge_with(error, most, TRIED_EDGE_RATIO)
+    if edge < MIN_CHOSEN_EDGE_MM:
+        least = expected_force_error(MIN_CHOSEN_EDGE_MM, expected.contact, expected.radius)
+        raise UserError(
+            f"quality.force_error: {error:.2g} asks for edges below {MIN_CHOSEN_EDGE_MM:g} mm, where the expected error"
+            f" is {least:.2g}: ask for a larger one, or for edge_mm"
+        )
+    return QualityNumbers(edge_mm=float(f"{edge:.3g}"), dhat_mm=float(f"{_range_of(edge):.2g}"))
+
+
+def _range_of(edge: float) -> float:
+    """Range of the barrier [mm] at an element edge [mm]: the presets', between them and beyond by powers."""
+    known = sorted((quality.edge_mm, quality.dhat_mm) for quality in QUALITIES.values())
+    edges, ranges = np.log(known).T
+    part = np.searchsorted(edges[1:-1], np.log(edge))  # of the two powers
+    power = (ranges[part + 1] - ranges[part]) / (edges[part + 1] - edges[part])
+    return float(np.exp(ranges[part] + power * (np.log(edge) - edges[part])))
 
 
 def _scene(row: Row) -> Scene:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.base import output_file, regular_file
-from tacgen.base.errors import UserError, printable, why
+from tacgen.base.errors import UserError, printable
 from tacgen.recipe import assets, loading
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
@@ -129,8 +129,10 @@ def _moved(source: Path, folder: Path, beside: dict[str, bytes]) -> str:
         else:
             if place not in beside:
                 beside[place] = b""  # a file may name the one that names it
-                is_yaml = other.suffix in assets.YAML_SUFFIXES
-                beside[place] = _moved(other, folder, beside).encode() if is_yaml else _content(other)
+                if other.suffix in assets.YAML_SUFFIXES:
+                    beside[place] = _moved(other, folder, beside).encode()
+                else:
+                    beside[place] = regular_file.content(other, assets.MAX_ASSET_BYTES)
             continue
         line, column = spot.value.line, spot.value.column
         written = next((t for t in (name, f'"{name}"', f"'{name}'") if lines[line][column:].startswith(t)), None)
@@ -138,14 +140,6 @@ def _moved(source: Path, folder: Path, beside: dict[str, bytes]) -> str:
             raise UserError(spot.value.point("write this path in one line, without escapes, so that it can be copied"))
         lines[line] = lines[line][:column] + quoted(new) + lines[line][column + len(written) :]
     return "\n".join([*lines, ""])
-
-
-def _content(path: Path) -> bytes:
-    """All of a mesh, table or picture. Raises UserError: it cannot be read."""
-    try:
-        return regular_file.read_bytes(path, assets.MAX_ASSET_BYTES)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {why(error)}") from None
 
 
 def _shipped(path: Path) -> bool:

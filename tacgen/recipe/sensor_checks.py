@@ -1,6 +1,7 @@
 """Checks of a sensor alone: contradictions in its file."""
 
 import math
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -39,58 +40,48 @@ def _lights(data: Any) -> list[Issue]:
     there = [name for name in LIGHT_FIELDS if isinstance(data, dict) and data.get(name) is not None]
     if there in ([], ["plate"]):
         return []
-    missing = [name for name in LIGHT_FIELDS if name not in there]
-    return [
-        Issue((name,), f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}", at_key=True) for name in missing
-    ]
+    text, missing = f"is missing, and {there[-1]} is there", [name for name in LIGHT_FIELDS if name not in there]
+    return [Issue((name,), f"{text}{needs(Sensor, (name,))}", at_key=True) for name in missing]
 
 
-def _outline(gel: Gel) -> list[Issue]:
-    half, wrong = min(gel.width_mm, gel.height_mm) / 2, []
+def _outline(gel: Gel) -> Iterator[Issue]:
+    half = min(gel.width_mm, gel.height_mm) / 2
     if gel.corner_radius_mm > half:
         text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
-        wrong.append(Issue(("gel", "corner_radius_mm"), text))
+        yield Issue(("gel", "corner_radius_mm"), text)
     if gel.tip and gel.corner_radius_mm:
-        wrong.append(Issue(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end"))
+        yield Issue(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end")
     if gel.tip and gel.width_mm / 2 > gel.height_mm:
-        text = (
-            f"a semicircle over {gel.width_mm:g} mm does not fit into a height of {gel.height_mm:g}: leave outline out"
-        )
-        wrong.append(Issue(("gel", "outline"), text))
+        text = f"a semicircle over {gel.width_mm:g} mm does not fit into a height of {gel.height_mm:g}"
+        yield Issue(("gel", "outline"), f"{text}: leave outline out")
     rim = gel.thickness_mm - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
     if rim < MIN_RIM_RATIO * gel.thickness_mm:
         text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has: larger radii"
-        wrong.append(Issue(("gel", "dome"), text))
-    return wrong
+        yield Issue(("gel", "dome"), text)
 
 
-def _seen(sensor: Sensor) -> list[Issue]:
+def _seen(sensor: Sensor) -> Iterator[Issue]:
     """The camera must see the coating; a wrong unit leaves the gel a few pixels, or dots on top of each other."""
-    dots, scale, wrong = sensor.markers, sensor.camera.mm_per_px, []
+    dots, scale = sensor.markers, sensor.camera.mm_per_px
     side = min(sensor.gel.width_mm, sensor.gel.height_mm)
     if sensor.gel.layers[0].opaque:
         text = "hides the coating: layers are from the bonded base outward, and the first must be clear"
-        wrong.append(Issue(("gel", "layers", 0, "opaque"), text))
+        yield Issue(("gel", "layers", 0, "opaque"), text)
     if side < MIN_SIDE_PX * scale:
         text = f"leaves {side / scale:.2g} pixels for the gel, {side:g} mm: a wrong unit?"
-        wrong.append(Issue(("camera", "mm_per_px"), text))
+        yield Issue(("camera", "mm_per_px"), text)
     if dots and dots.diameter_mm >= dots.nearest_mm:
         text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {dots.nearest_mm:g} mm: smaller or farther ones"
-        wrong.append(Issue(("markers", "diameter_mm"), text))
-    return wrong
+        yield Issue(("markers", "diameter_mm"), text)
 
 
 def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
     """The file must exist, have the right hash, be closed, be bonded, and have the size that the sensor file says."""
     if gel.solid is None:
         return []
-    excluded = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
-    excluded += ["corner_radius_mm"] if gel.corner_radius_mm else []
-    if excluded:
-        return [
-            Issue(("gel", name), "cannot be given beside solid, which is the whole shape: leave it out", at_key=True)
-            for name in excluded
-        ]
+    text = "cannot be given beside solid, which is the whole shape: leave it out"
+    if excluded := [name for name in ("outline", "dome", "corner_radius_mm") if getattr(gel, name)]:
+        return [Issue(("gel", name), text, at_key=True) for name in excluded]
     from tacgen.geometry import mesh_import
 
     try:

@@ -41,14 +41,11 @@ def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
         forces = matching.asked(rows, move).tolist()
         rows = tuple(row._replace(normal=force) for row, force in zip(rows, forces, strict=True))
     rows = rows[:: move.every][: move.frames]
+    given = f"{move.file}: gives {len(rows)} frames"
     if len(rows) > MAX_SEGMENT_FRAMES:
-        raise UserError(
-            f"{move.file}: gives {len(rows)} frames, at most {MAX_SEGMENT_FRAMES} can be: thin it out by `every`"
-        )
+        raise UserError(f"{given}, at most {MAX_SEGMENT_FRAMES} can be: thin it out by `every`")
     if len(rows) < (move.frames or 0):
-        raise UserError(
-            f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for: leave frames out, or as many"
-        )
+        raise UserError(f"{given}, and {move.frames} are asked for: leave frames out, or as many")
     poses = pose_table.relative(rows, move.sensor_pose, move.indenter_pose)
     held = [row._replace(pose=row.held) for row in rows if row.held is not None]
     each = iter(pose_table.relative(held, move.sensor_pose) if held else ())

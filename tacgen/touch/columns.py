@@ -68,17 +68,14 @@ def read(given: Path | Mapping[str, Any] | None) -> ColumnNames:
     if isinstance(given, Path):
         tree = yaml_source.load(given)
     else:
-        tree = yaml_source.Tree(dict(given or {}), {(): _nowhere()})
+        nowhere = yaml_source.Mark(yaml_source.Source("columns"))
+        tree = yaml_source.Tree(dict(given or {}), {(): yaml_source.Spot(nowhere, nowhere)})
     found, issues = validation_messages.validate(ColumnNames, tree.data or {})
     if found is None:
         raise validation_messages.report((issue, tree) for issue in issues)
     if wrong := [pair for pair in found.forces if not re.fullmatch("[^/]+/[^/]+", pair)]:
         raise UserError(f"columns: forces: {wrong[0]!r} must be two bodies, as in left_pad/cup: the touched one first")
     return found
-
-
-def _nowhere() -> yaml_source.Spot:
-    return yaml_source.Spot(*[yaml_source.Mark(yaml_source.Source("columns"))] * 2)
 
 
 def picked(reference: str, get: Get) -> Array:

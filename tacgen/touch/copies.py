@@ -8,13 +8,15 @@ from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.touch import into_lerobot, into_rerun
-from tacgen.touch.episode import EpisodeLog, Episodes, Touch
+from tacgen.touch.episode import EpisodeLog, Touch
+from tacgen.touch.label_columns import by_episode
+from tacgen.touch.recording import Recording
 
 WRITER_OF_SUFFIX = {".rrd": "into_rerun", **dict.fromkeys(animation.ANIMATION_WRITERS, "film")}
 WRITER_OF_KIND = {"lerobot": "into_lerobot", "robomimic": "into_robomimic"}
 
 
-def refuse(source: Episodes, episodes: int, out: Path, *, overwrite: bool) -> None:
+def refuse(source: Recording, episodes: int, out: Path, *, overwrite: bool) -> None:
     """UserError if touch of so many episodes cannot be written to `out`; to be called before long work."""
     name = _writer(source, out)
     if out.suffix.lower() in WRITER_OF_SUFFIX and episodes > 1:
@@ -30,21 +32,23 @@ def refuse(source: Episodes, episodes: int, out: Path, *, overwrite: bool) -> No
 
 
 def write(
-    source: Episodes,
-    episodes: Sequence[EpisodeLog],
-    touches: Sequence[Sequence[Touch]],
-    out: Path,
-    *,
-    overwrite: bool,
+    source: Recording, episodes: Sequence[EpisodeLog], touches: Sequence[Sequence[Touch]], out: Path, *, overwrite: bool
 ) -> list[Path]:
     """Write a film or an .rrd file where `out` ends so; else a copy of the source, or .rrd files of one without a copy.
 
-    Arguments, result and exceptions as of `into_lerobot.write`.
+    Args:
+        touches: of each episode one for each finger.
+
+    Returns:
+        the files.
+
+    Raises:
+        UserError: as of `by_episode`, and of the `write` of the module that does it.
     """
     written: Callable[..., list[Path]] = import_module(f"tacgen.touch.{_writer(source, out)}").write
-    return written(source, episodes, touches, out, overwrite=overwrite)
+    return written(source, by_episode(episodes, touches), out, overwrite=overwrite)
 
 
-def _writer(source: Episodes, out: Path) -> str:
+def _writer(source: Recording, out: Path) -> str:
     """The module that writes."""
     return WRITER_OF_SUFFIX.get(out.suffix.lower()) or WRITER_OF_KIND.get(source.kind, "into_rerun")

@@ -1,9 +1,8 @@
 """Records of an episode: where bodies were, whose surfaces may touch a finger, and what each finger then felt."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -62,31 +61,6 @@ class EpisodeLog:
 
     def __len__(self) -> int:
         return len(self.time)
-
-
-class Episodes(Protocol):
-    """Recorded episodes. kind: lerobot, robomimic, umi or log; fps: rows in a second; things: by the name of their
-    body."""
-
-    @property
-    def path(self) -> Path: ...
-
-    @property
-    def kind(self) -> str: ...
-
-    @property
-    def fps(self) -> float: ...
-
-    @property
-    def things(self) -> Mapping[str, Thing]: ...
-
-    def __len__(self) -> int: ...
-
-    def episodes(self) -> Iterator[EpisodeLog]:
-        """In order. Raises UserError, one line, where an episode cannot be read."""
-
-    def episode(self, number: int) -> EpisodeLog:
-        """The one at this place, from 0; raises as `episodes` does."""
 
 
 @dataclass(frozen=True)

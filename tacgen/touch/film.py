@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen.base import output_file
-from tacgen.base.errors import UserError
 from tacgen.report import animation
 from tacgen.report.force_figure import OUR_COLOUR, THEIR_COLOUR
 from tacgen.report.sheet import Page
-from tacgen.touch.episode import Array, EpisodeLog, Episodes, Touch
-from tacgen.touch.label_columns import by_episode, file_name, title
+from tacgen.touch.episode import Array, EpisodeLog, Touch
+from tacgen.touch.label_columns import Felt, file_of, title
+from tacgen.touch.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,24 +24,14 @@ SHEAR_COLOUR, SLIP_COLOUR, LIFTED_COLOUR, NOTE_COLOUR = "#009e73", "#fce5cd", "#
 LIFTED_AT, NOTE_AT = 1.03, -0.02  # height of the marks over the plot's [-]
 
 
-def write(
-    source: Episodes,
-    episodes: Sequence[EpisodeLog],
-    touches: Sequence[Sequence[Touch]],
-    out: Path,
-    *,
-    overwrite: bool,
-) -> list[Path]:
+def write(source: Recording, felt: Felt, out: Path, *, overwrite: bool) -> list[Path]:
     """Draw each episode into `out`/<name>.webp, or a single one into the file `out`: webp or gif, or mp4 with ffmpeg.
 
     Raises:
-        UserError: several episodes and one file, another kind of file, no ffmpeg, or a file is there already.
+        UserError: another kind of file, no ffmpeg, or a file is there already.
     """
-    pairs = [*by_episode(episodes, touches).values()]
-    if out.suffix and len(pairs) > 1:
-        raise UserError(f"{out}: a film shows one episode, these are {len(pairs)}: choose one, or name a folder")
-    made = [out if out.suffix else out / f"{file_name(episode)}.webp" for episode, _ in pairs]
-    for (episode, fingers), path in zip(pairs, made, strict=True):
+    made = [file_of(episode, out, ".webp") for episode, _ in felt.values()]
+    for (episode, fingers), path in zip(felt.values(), made, strict=True):
         step = -(-len(episode) // MAX_FILM_FRAMES)
         rows = np.arange(0, len(episode), step)
         spacing = float(np.diff(episode.time).mean()) if len(episode) > 1 else 1.0

@@ -92,11 +92,7 @@ def body_of(thing: Thing) -> RecordedBody:
 
 
 def contacts(
-    episode: EpisodeLog,
-    finger: Finger,
-    things: Mapping[str, tuple[Thing, RecordedBody]],
-    gel: GelBody,
-    near_mm: float,
+    episode: EpisodeLog, finger: Finger, things: Mapping[str, tuple[Thing, RecordedBody]], gel: GelBody, near_mm: float
 ) -> AtFinger:
     """The intervals of an episode in which an object comes within `near_mm` of the gel of a finger.
 

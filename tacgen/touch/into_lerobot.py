@@ -35,8 +35,10 @@ from tacgen.base.output_file import add
 from tacgen.bundle import whole_folder
 from tacgen.bundle.image_file import encoded
 from tacgen.export.lerobot import DATA_PATH, FILES_PER_FOLDER, PARQUET_FILE_BYTES, TACTILE_PREFIX, statistics
-from tacgen.touch.episode import Array, EpisodeLog, Episodes, Touch
-from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, by_episode, columns, distinct, left_out
+from tacgen.touch.episode import Array, Touch
+from tacgen.touch.label_columns import COMPONENTS, LEFT_OUT_NOTE, Felt, columns, distinct, left_out
+from tacgen.touch.lerobot_data import INFO_PATH
+from tacgen.touch.recording import Recording
 
 FOLDER_KIND = "touch for LeRobot"  # of `whole_folder`
 MAX_JSON_BYTES, MAX_PARQUET_BYTES = 2**27, 2**36  # largest files that are read [bytes]
@@ -52,39 +54,33 @@ Key = TypeVar("Key")
 Value = TypeVar("Value")
 
 
-def write(
-    source: Episodes,
-    episodes: Sequence[EpisodeLog],
-    touches: Sequence[Sequence[Touch]],
-    out: Path,
-    *,
-    overwrite: bool,
-) -> list[Path]:
+def write(source: Recording, felt: Felt, out: Path, *, overwrite: bool) -> list[Path]:
     """Write the copy into the folder `out`, which appears when it is complete. Returns the files.
 
+    Rows of episodes that are not among `felt` get nan and a note.
+
     Args:
-        touches: of each episode one for each finger. Rows of episodes that are not among `episodes` get nan and a note.
         overwrite: `out` may hold such a copy, unchanged since.
 
     Raises:
-        UserError: not such a data set, touch is in it, its rows are not those of the episodes, or `out` is in the way.
+        UserError: touch is in the data set, its rows are not those of the episodes, or `out` is in the way.
     """
     try:
         import pyarrow  # noqa: F401
     except ImportError:
         raise UserError("touch in a LeRobot data set needs PyArrow: pip install 'tacgen[lerobot]'") from None
     refuse(source, out, overwrite=overwrite)
-    felt, given, info = by_episode(episodes, touches), source.path.resolve(), _info(source.path)
-    every = [touch for fingers in touches for touch in fingers]
-    texts = {"object": distinct(text for touch in every for text in touch.touched)}
-    unfelt = [LEFT_OUT_NOTE] if len(felt) < info["total_episodes"] else []
-    texts["note"] = distinct([*(text for touch in every for text in touch.note), *unfelt])
-    new = {name: value for touch in touches[0] for name, value in _features(touch, texts).items()}
+    given, info = source.path.resolve(), _json(source.path / INFO_PATH)
+    like, *_ = every = [fingers for _, fingers in felt.values()]
+    texts = {"object": distinct(text for fingers in every for touch in fingers for text in touch.touched)}
+    unfelt = [LEFT_OUT_NOTE] if len(felt) < len(source) else []
+    texts["note"] = distinct([*(text for fingers in every for touch in fingers for text in touch.note), *unfelt])
+    new = {name: value for touch in like for name, value in _features(touch, texts).items()}
     if there := sorted(new.keys() & info["features"].keys()):
         raise UserError(f"{source.path}: has {there[0]} already")
     with whole_folder.written(out, FOLDER_KIND) as folder:
         _copy(given, folder)
-        rows, stats = _data(given, folder, felt, touches[0], texts, new)
+        rows, stats = _data(given, folder, felt, like, texts, new)
         _episodes(given, folder, rows)
         whole = _json(given / "meta/stats.json") if (given / "meta/stats.json").exists() else {}
         whole |= _aggregated([stats[index] for index in sorted(stats)])
@@ -95,28 +91,13 @@ def write(
     return [out / path for path in made]
 
 
-def refuse(source: Episodes, out: Path, *, overwrite: bool) -> None:
+def refuse(source: Recording, out: Path, *, overwrite: bool) -> None:
     """UserError if the copy cannot be in the folder `out`; to be called before long work, too."""
     given, where = source.path.resolve(), out.resolve()
     if where.is_relative_to(given) or given.is_relative_to(where):
         raise UserError(f"{out}: the copy must be outside of the data set {source.path}")
     if not overwrite and out.is_dir() and any(out.iterdir()):
         raise UserError(f"{out}: is there already; --overwrite replaces it")
-
-
-def _info(path: Path) -> dict[str, Any]:
-    try:
-        info = _json(path / "meta/info.json")
-    except OSError as error:
-        raise UserError(f"{path}: is no LeRobot data set: meta/info.json: {error.strerror}") from None
-    if not (isinstance(info, dict) and isinstance(info.get("features"), dict) and "total_episodes" in info):
-        raise UserError(f"{path}: meta/info.json is not LeRobot's: it has no features or total_episodes")
-    if not str(info.get("codebase_version", "")).startswith("v3."):
-        version = info.get("codebase_version", "unknown")
-        raise UserError(
-            f"{path}: format {version}, v3.0 is needed: convert it with lerobot's convert_dataset_v21_to_v30"
-        )
-    return info
 
 
 def _json(path: Path) -> Any:
@@ -147,7 +128,7 @@ def _copy(given: Path, folder: Path) -> None:
     for path in sorted(given.rglob("*")):
         place = path.relative_to(given)
         anew = place.parts[0] == "data" or place.parts[:2] == ("meta", "episodes")
-        ours = place.as_posix() in ("meta/info.json", "meta/stats.json", whole_folder.EXPORT_LIST_FILE)
+        ours = place.as_posix() in (INFO_PATH, "meta/stats.json", whole_folder.EXPORT_LIST_FILE)
         if path.is_dir() or (anew and path.suffix == ".parquet") or ours:
             continue
         target, real = folder / place, path.resolve()  # a cache of the Hugging Face hub has links
@@ -162,12 +143,7 @@ def _copy(given: Path, folder: Path) -> None:
 
 
 def _data(
-    given: Path,
-    folder: Path,
-    felt: dict[int, tuple[EpisodeLog, Sequence[Touch]]],
-    like: Sequence[Touch],
-    texts: dict[str, list[str]],
-    new: dict[str, dict[str, Any]],
+    given: Path, folder: Path, felt: Felt, like: Sequence[Touch], texts: dict[str, list[str]], new: dict[str, Any]
 ) -> tuple[dict[int, dict[str, Any]], dict[int, Statistics]]:
     """Write the tables of rows; by episode what its row of metadata gets, and the statistics of its touch."""
     from pyarrow import parquet
@@ -180,9 +156,8 @@ def _data(
             n = table.num_rows
             episode, fingers = felt.get(index, (None, [left_out(touch, n) for touch in like]))
             if index in rows or (episode is not None and len(episode) != n):
-                raise UserError(
-                    f"{given}: episode {index} has other rows than the {len(fingers[0].touched)} with touch"
-                )
+                count = len(fingers[0].touched)
+                raise UserError(f"{given}: episode {index} has other rows than the {count} with touch")
             stats[index] = {}
             for touch in fingers:
                 arrays, own = _columns(touch, texts, pictures)
@@ -198,10 +173,8 @@ def _data(
                 writer = parquet.ParquetWriter(path, _described(table.schema, new), compression="snappy")
             writer.write_table(table.replace_schema_metadata(writer.schema.metadata))
             chunk, file = divmod(number, FILES_PER_FOLDER)
-            rows[index] = {"data/chunk_index": chunk, "data/file_index": file}
-            rows[index] |= {
-                f"stats/{name}/{kind}": v for name, kinds in stats[index].items() for kind, v in kinds.items()
-            }
+            told = {f"stats/{name}/{kind}": v for name, kinds in stats[index].items() for kind, v in kinds.items()}
+            rows[index] = {"data/chunk_index": chunk, "data/file_index": file, **told}
     finally:
         if writer is not None:
             writer.close()
@@ -275,9 +248,8 @@ class _Pictures:
             if k in wanted:
                 order.append(digest)
                 samples.setdefault(digest, _thinned(image))
-        return files, _kept(
-            self.statistics, tuple(order), lambda: _image_statistics(np.array([samples[each] for each in order]))
-        )
+        made = partial(_image_statistics, np.array([samples[each] for each in order]))
+        return files, _kept(self.statistics, tuple(order), made)
 
 
 def _kept(known: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:
@@ -298,9 +270,8 @@ def _thinned(image: Array) -> Array:
 def _image_statistics(samples: Array) -> dict[str, list]:
     """Statistics of pictures (s, h, w, 3), of each colour in [0, 1]."""
     found = statistics([{"": samples.reshape(-1, 3) / 255}])[""]
-    return {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items() if name != "count"} | {
-        "count": [len(samples)]
-    }
+    colours = {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items() if name != "count"}
+    return colours | {"count": [len(samples)]}
 
 
 def _statistics(values: Array) -> dict[str, list]:
@@ -320,11 +291,8 @@ def _aggregated(episodes: Sequence[Statistics]) -> Statistics:
         weights = counts / counts.sum() if counts.sum() else np.full(len(counts), 1 / len(counts))
         found = {kind: np.tensordot(weights, values, 1) for kind, values in parts.items()}
         spread = parts["std"] ** 2 + (parts["mean"] - found["mean"]) ** 2
-        found |= {
-            "min": parts["min"].min(0),
-            "max": parts["max"].max(0),
-            "std": np.sqrt(np.tensordot(weights, spread, 1)),
-        }
+        found |= {"min": parts["min"].min(0), "max": parts["max"].max(0)}
+        found["std"] = np.sqrt(np.tensordot(weights, spread, 1))
         whole[name] = {kind: value.tolist() for kind, value in found.items()} | {"count": [int(counts.sum())]}
     return whole
 

@@ -21,38 +21,23 @@ from tacgen.base.errors import UserError
 from tacgen.export.rerun import SUFFIX, curves, image_of, new_recording
 from tacgen.recipe.indenters import Indenter
 from tacgen.report.field_figure import surface_of
-from tacgen.touch.episode import EpisodeLog, Episodes, Thing, Touch
-from tacgen.touch.label_columns import by_episode, file_name, title
+from tacgen.touch.episode import EpisodeLog, Thing, Touch
+from tacgen.touch.label_columns import Felt, file_of, title
+from tacgen.touch.recording import Recording
 
 MAX_SHOWN_MM = 150.0  # of shapes without an end
 AXIS_LENGTH_MM = 20.0  # of the axes of a body [mm]
 
 
-def write(
-    source: Episodes,
-    episodes: Sequence[EpisodeLog],
-    touches: Sequence[Sequence[Touch]],
-    out: Path,
-    *,
-    overwrite: bool,
-) -> list[Path]:
-    """One file an episode: `out` itself if it ends in SUFFIX, otherwise <name>.rrd in it.
-
-    Raises:
-        UserError: no Rerun, several episodes and one file, or a file is there already.
-    """
+def write(source: Recording, felt: Felt, out: Path, *, overwrite: bool) -> list[Path]:
+    """One file an episode: `out` itself, otherwise <name>.rrd in it. Raises UserError: no Rerun, or one is there."""
     refuse()
-    pairs = [*by_episode(episodes, touches).values()]
-    if out.suffix == SUFFIX and len(pairs) > 1:
-        raise UserError(f"{out}: holds one episode, these are {len(pairs)}: choose one, or name a folder")
-    made = []
-    for episode, fingers in pairs:
-        made.append(out if out.suffix == SUFFIX else out / f"{file_name(episode)}{SUFFIX}")
-        output_file.refuse(made[-1], [source.path], overwrite=overwrite)
-        output_file.put(
-            made[-1], recording(source, episode, fingers), [source.path], overwrite=overwrite
-        )  # Rerun's own files say nothing when the disk is full
-    return made
+    made = {file_of(episode, out, SUFFIX): (episode, fingers) for episode, fingers in felt.values()}
+    for path, episode in made.items():
+        output_file.refuse(path, [source.path], overwrite=overwrite)
+        content = recording(source, *episode)  # Rerun's own files say nothing when the disk is full
+        output_file.put(path, content, [source.path], overwrite=overwrite)
+    return [*made]
 
 
 def refuse() -> None:
@@ -63,7 +48,7 @@ def refuse() -> None:
         raise UserError("touch into Rerun needs Rerun: pip install 'tacgen[rerun]'") from None
 
 
-def recording(source: Episodes, episode: EpisodeLog, fingers: Sequence[Touch]) -> bytes:
+def recording(source: Recording, episode: EpisodeLog, fingers: Sequence[Touch]) -> bytes:
     """The episode as the bytes of a recording."""
     import rerun as rr
 

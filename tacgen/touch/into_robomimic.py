@@ -24,30 +24,19 @@ import numpy as np
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.hdf5_file import item_at, open_file, text_type, written_file
-from tacgen.touch.episode import Array, EpisodeLog, Episodes, Touch
-from tacgen.touch.label_columns import by_episode, columns
+from tacgen.touch.episode import Array, EpisodeLog, Touch
+from tacgen.touch.label_columns import Felt, columns
+from tacgen.touch.recording import Recording
 
 GZIP_LEVEL = 4  # of the pictures, as a middle between size and time
 
 
-def write(
-    source: Episodes,
-    episodes: Sequence[EpisodeLog],
-    touches: Sequence[Sequence[Touch]],
-    out: Path,
-    *,
-    overwrite: bool,
-) -> list[Path]:
-    """Write the copy `out`, which appears when it is complete.
-
-    Args:
-        touches: of each episode one for each finger; demonstrations that are not among `episodes` get none.
-        overwrite: replace a file `out`.
+def write(source: Recording, felt: Felt, out: Path, *, overwrite: bool) -> list[Path]:
+    """Write the copy `out`, which appears when it is complete; demonstrations that are not among `felt` get none.
 
     Raises:
         UserError: not such a file, touch is in it, its rows are not those of the episodes, or `out` is in the way.
     """
-    felt = by_episode(episodes, touches)
     open_file(source.path).close()  # it is HDF5, and an input from here on
     with output_file.written(out, [source.path], overwrite=overwrite) as new:
         shutil.copyfile(source.path, new)
@@ -70,10 +59,8 @@ def _add(path: Path, file: Any, episode: EpisodeLog, fingers: Sequence[Touch]) -
             demonstration.create_group(name)
         group = item_at(demonstration, name)
         for key in group:
-            if getattr(group.get(key), "shape", None) and len(group[key]) != len(episode):
-                raise UserError(
-                    f"{path}: {episode.name}: {name}/{key} has {len(group[key])} rows, touch has {len(episode)}"
-                )
+            if getattr(group.get(key), "shape", None) and (count := len(group[key])) != len(episode):
+                raise UserError(f"{path}: {episode.name}: {name}/{key} has {count} rows, touch has {len(episode)}")
         rows = np.minimum(np.arange(len(episode)) + later, len(episode) - 1)
         for touch in fingers:
             _put(path, group, touch, rows)

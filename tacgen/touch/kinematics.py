@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from tacgen.base import regular_file
-from tacgen.base.errors import UserError, why
+from tacgen.base.errors import UserError
+from tacgen.recipe import pose_table
 from tacgen.touch import surfaces
 from tacgen.touch.episode import BodySurface, Thing
 from tacgen.touch.surfaces import RigidPart
@@ -25,11 +26,7 @@ ENDINGS = {FREE: ("x", "y", "z", "qw", "qx", "qy", "qz"), BALL: ("qw", "qx", "qy
 
 def opened(path: Path) -> "Kinematics":
     """The model in an MJCF or URDF file. Raises UserError: MuJoCo is missing or refuses it."""
-    try:
-        with regular_file.opened(path, MAX_MODEL_BYTES):
-            pass
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {why(error)}") from None
+    regular_file.content(path, MAX_MODEL_BYTES)  # MuJoCo reads it itself
     return _compiled(str(path), lambda spec: spec.from_file(str(path)))
 
 
@@ -238,8 +235,8 @@ class Kinematics:
         colliding = [g for g in all_geoms if m.geom_contype[g] or m.geom_conaffinity[g]]
         found = []
         for g in colliding or all_geoms:
-            pose, kind, mesh = np.eye(4), KINDS_OF_GEOMS[int(m.geom_type[g])], int(m.geom_dataid[g])
-            pose[:3, :3], pose[:3, 3] = _turn(m.geom_quat[g]), m.geom_pos[g] * M_TO_MM
+            kind, mesh = KINDS_OF_GEOMS[int(m.geom_type[g])], int(m.geom_dataid[g])
+            (pose,) = pose_table.matrices([m.geom_pos[g] * M_TO_MM], [m.geom_quat[g]])
             placed = frames[m.geom_bodyid[g]] @ pose
             size = m.geom_size[g] * M_TO_MM
             found.append(RigidPart(kind, size, placed, *(self._mesh(mesh) if kind == "mesh" else ())))
@@ -251,9 +248,3 @@ class Kinematics:
         v, f = int(m.mesh_vertadr[mesh]), int(m.mesh_faceadr[mesh])
         corners = m.mesh_vert[v : v + m.mesh_vertnum[mesh]].astype(float) * M_TO_MM
         return corners, m.mesh_face[f : f + m.mesh_facenum[mesh]].astype(np.int64)
-
-
-def _turn(quaternion: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(quaternion, scalar_first=True).as_matrix())

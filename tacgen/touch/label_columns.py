@@ -1,7 +1,8 @@
 """The labels of a finger as columns, one row for each row of an episode: what all copies with touch hold."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +16,7 @@ COMPONENTS = {
     "correction": ["z_mm"],
     "engine_force": ["n"],
 }
+Felt = Mapping[int, tuple[EpisodeLog, Sequence[Touch]]]  # episodes and their fingers by the index of the episode
 LEFT_OUT_NOTE = "no touch was computed for this episode"
 
 
@@ -35,14 +37,8 @@ def columns(touch: Touch) -> dict[str, Array]:
     return found | {name: np.asarray(values, bool).reshape(n, 1) for name, values in marks.items()}
 
 
-def by_episode(
-    episodes: Sequence[EpisodeLog], touches: Sequence[Sequence[Touch]]
-) -> dict[int, tuple[EpisodeLog, Sequence[Touch]]]:
-    """Episodes and their fingers by the index of the episode.
-
-    Raises:
-        UserError: no episodes, or episodes whose fingers, pictures, markers or rows differ.
-    """
+def by_episode(episodes: Sequence[EpisodeLog], touches: Sequence[Sequence[Touch]]) -> Felt:
+    """Episodes and their touch. Raises UserError: none, or episodes whose fingers, pictures, markers or rows differ."""
     if not episodes:
         raise UserError("no episode has touch: there is nothing to write")
     pairs = list(zip(episodes, touches, strict=True))
@@ -63,6 +59,11 @@ def title(episode: EpisodeLog) -> str:
 def file_name(episode: EpisodeLog) -> str:
     """The title of an episode as the name of a file."""
     return re.sub(r"[^\w.-]+", "-", title(episode)).strip("-.") or f"episode-{episode.index}"
+
+
+def file_of(episode: EpisodeLog, out: Path, suffix: str) -> Path:
+    """The file of one episode: `out` itself if it has a suffix, otherwise one in that folder."""
+    return out if out.suffix else out / f"{file_name(episode)}{suffix}"
 
 
 def _kind(touch: Touch) -> tuple[tuple[int, ...], int]:

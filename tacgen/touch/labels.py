@@ -14,7 +14,7 @@ from tacgen.bundle.resume import SceneResult
 from tacgen.outputs.contact_modes import CONTACT_MODES
 from tacgen.replay.comparison import MIN_CONTACT_FORCE_N
 from tacgen.touch import intervals
-from tacgen.touch.episode import EpisodeLog, Finger, Thing, Touch
+from tacgen.touch.episode import EpisodeLog, Thing, Touch
 from tacgen.touch.intervals import AtFinger, Interval
 from tacgen.touch.scenes import TouchScenes
 
@@ -36,9 +36,8 @@ def felt(prepared: TouchScenes, results: Sequence[SceneResult]) -> list[list[Tou
     per_finger: dict[tuple[int, str], list[tuple[Interval, SceneResult, Path]]] = {}
     for scene, interval in prepared.scenes.items():
         result = results[scene]
-        sides = (
-            [result.path] if interval.other is None else [result.path.with_name(f"{result.name}-{x}.h5") for x in "LR"]
-        )
+        pair = [result.path.with_name(f"{result.name}-{side}.h5") for side in "LR"]
+        sides = [result.path] if interval.other is None else pair
         for finger, path in zip(interval.fingers, sides, strict=True):
             per_finger.setdefault((interval.episode, finger.name), []).append((interval, result, path))
     found = []
@@ -112,10 +111,8 @@ class _Rows:
         said = frame_notes.of(bundle)
 
         def at(values: Array) -> Array:
-            flat = values.reshape(len(values), -1)
-            return np.column_stack([np.interp(place, frames, part) for part in flat.T]).reshape(
-                (len(place), *values.shape[1:])
-            )
+            flat = [np.interp(place, frames, part) for part in values.reshape(len(values), -1).T]
+            return np.column_stack(flat).reshape((len(place), *values.shape[1:]))
 
         self.force[rows], self.torque[rows] = at(bundle["/frames/force"]), at(bundle["/frames/torque"])
         if self.markers is not None:
@@ -165,7 +162,9 @@ def _lifted(episode: EpisodeLog, touches: Sequence[Touch], prepared: TouchScenes
     borne = {name: np.zeros(len(episode)) for name in things}  # force on the object against gravity [N]
     fingers = {at.finger.name: at.finger for each in prepared.contacts for at in each}
     for touch in touches:
-        up = _up(episode, fingers[touch.finger], touch.force, down)
+        finger = fingers[touch.finger]
+        frames = intervals.mounted(finger, episode.bodies[finger.body])  # the force on the gel, the other way, in these
+        up = np.einsum("nij,nj,i->n", frames[:, :3, :3], touch.force, down)
         for name, force in borne.items():
             force += np.where([one == name for one in touch.touched], np.nan_to_num(up), 0.0)
     lifted = {name: _is_lifted(episode, things[name], force, down, strength) for name, force in borne.items()}
@@ -174,12 +173,6 @@ def _lifted(episode: EpisodeLog, touches: Sequence[Touch], prepared: TouchScenes
                                         for k, name in enumerate(touch.touched)]))
         for touch in touches
     ]  # fmt: skip
-
-
-def _up(episode: EpisodeLog, finger: Finger, force: Array, down: Array) -> Array:
-    """The force (n,) [N] against gravity on what a finger touches, from that on its gel (n, 3)."""
-    frames = intervals.mounted(finger, episode.bodies[finger.body])
-    return np.asarray(np.einsum("nij,nj,i->n", frames[:, :3, :3], force, down))
 
 
 def _is_lifted(episode: EpisodeLog, thing: Thing, borne: Array, down: Array, strength: float) -> Array:

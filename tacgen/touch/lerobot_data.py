@@ -73,12 +73,11 @@ class LeRobotFolder:
 
 def opened(path: Path, model: Kinematics | None) -> LeRobotFolder:
     """The data set in a folder. Raises UserError: it is no LeRobot data set of version 3, or is damaged."""
+    content = regular_file.content(path / INFO_PATH, MAX_TABLE_BYTES)
     try:
-        info = json.loads(regular_file.read_bytes(path / INFO_PATH, MAX_TABLE_BYTES))
+        info = json.loads(content)
         version, fps, data_path = str(info["codebase_version"]), float(info["fps"]), str(info["data_path"])
         features = {k: v for k, v in info["features"].items() if str(v["dtype"]).startswith(NUMBERS)}
-    except OSError as error:
-        raise UserError(f"{path / INFO_PATH}: cannot be read: {why(error)}") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{path / INFO_PATH}: is no description of a LeRobot data set ({error!r})") from None
     if not version.startswith("v3"):

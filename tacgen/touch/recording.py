@@ -1,6 +1,6 @@
 """Rows of any file as a recorded episode: joint states through a model, columns as poses, forces, grip; and checks."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -43,8 +43,9 @@ class RecordedRows:
 
 @dataclass(frozen=True)
 class Recording:
-    """Recorded episodes, as `Episodes`. row: of an episode by its place; asked: `--object`s, text by name, "" for a
-    body of the model; columns: what the names in the file do not say."""
+    """Recorded episodes. kind: lerobot, robomimic, maniskill, umi or log; fps: rows in a second; rows: of an episode by
+    its place; asked: `--object`s, text by name, "" for a body of the model; columns: what the names in the file do not
+    say."""
 
     path: Path
     kind: str
@@ -66,13 +67,8 @@ class Recording:
     def _first_model(self) -> Kinematics | None:
         return self.rows(0).model
 
-    def episodes(self) -> Iterator[EpisodeLog]:
-        """In order. Raises UserError, one line, where an episode cannot be read or is not plausible."""
-        for number in range(self.count):
-            yield self.episode(number)
-
     def episode(self, number: int) -> EpisodeLog:
-        """One episode by its place; raises as `episodes` does."""
+        """The one at this place, from 0. Raises UserError, one line: it cannot be read or is not plausible."""
         rows = self.rows(number)
         where = f"{self.path}: episode {rows.name}"
         self._refuse_other_things(rows.model, where)
@@ -81,13 +77,13 @@ class Recording:
             own = {name: poses(picked(text, rows.get), self.columns) for name, text in self.columns.bodies.items()}
             if rows.model is not None:
                 states = _states(rows, rows.model, self.columns, own)
-                bodies |= _placed(rows.model.poses(states.qpos), rows.base)
+                placed = rows.model.poses(states.qpos)  # in the model's own world, which stands at `base`
+                bodies |= placed if rows.base is None else {name: rows.base @ each for name, each in placed.items()}
                 if states.ctrl is not None and not self.columns.forces:
                     forces |= rows.model.forces(states, [name for name in self.things if name in rows.model.bodies])
-            forces |= {pair: _wide(picked(text, rows.get), 3, text) for pair, text in self.columns.pairs.items()}
-            grip = None
-            if self.columns.grip:
-                grip = np.maximum(_wide(picked(self.columns.grip, rows.get), 1, self.columns.grip)[:, 0], 0.0)
+            forces |= {pair: _wide(text, rows, 3) for pair, text in self.columns.pairs.items()}
+            told = self.columns.grip
+            grip = np.maximum(_wide(told, rows, 1)[:, 0], 0.0) if told else None
         except (UserError, ValueError) as error:
             raise UserError(f"{where}: {error}") from None
         gravity = DEFAULT_GRAVITY if rows.model is None else rows.model.gravity
@@ -131,18 +127,16 @@ def _states(rows: RecordedRows, model: Kinematics, columns: ColumnNames, bodies:
     """Joint states of the model. Raises UserError: a joint has no column, or a row no number."""
     size, qpos = int(model.model.nq), rows.qpos
     if columns.qpos:
-        qpos = _wide(picked(columns.qpos, rows.get), size, columns.qpos)
+        qpos = _wide(columns.qpos, rows, size)
     if qpos is None:
         qpos = _by_joints(rows, model, columns, bodies)
     elif qpos.shape[1] != size:
         raise UserError(f"has {qpos.shape[1]} joint positions, and {model.name} has {size}: is it its model?")
     if (wrong := ~np.isfinite(qpos).all(1)).any():
         raise UserError(f"row {wrong.argmax()}: its joint states are missing or no numbers")
-    qvel = _wide(picked(columns.qvel, rows.get), int(model.model.nv), columns.qvel) if columns.qvel else rows.qvel
-    ctrl = None
-    if columns.ctrl:
-        ctrl = _wide(picked(columns.ctrl, rows.get), int(model.model.nu), columns.ctrl)
-    elif model.actuators and rows.commands.keys() >= set(model.actuators):
+    qvel = _wide(columns.qvel, rows, int(model.model.nv)) if columns.qvel else rows.qvel
+    ctrl = _wide(columns.ctrl, rows, int(model.model.nu)) if columns.ctrl else None
+    if ctrl is None and model.actuators and rows.commands.keys() >= set(model.actuators):
         ctrl = np.column_stack([rows.commands[name] for name in model.actuators])
     return States(rows.time, qpos, qvel, ctrl)
 
@@ -171,7 +165,7 @@ def _by_joints(rows: RecordedRows, model: Kinematics, columns: ColumnNames, bodi
 def _of_joint(joint: str, endings: Sequence[str], rows: RecordedRows, columns: ColumnNames) -> Array | None:
     """Columns (n, k) of a joint: as given, or by names as joint, joint.pos, and joint.x ... joint.qz of a free one."""
     if joint in columns.joints:
-        return _wide(picked(columns.joints[joint], rows.get), len(endings), columns.joints[joint])
+        return _wide(columns.joints[joint], rows, len(endings))
     for form in ("{}.{}", "{}_{}") if len(endings) > 1 else ("{}", "{}.pos"):
         names = [form.format(joint, ending) for ending in endings]
         if all(name in rows.named for name in names):
@@ -189,12 +183,9 @@ def _free_state(poses: Array) -> Array:
     return found
 
 
-def _placed(bodies: Mapping[str, Array], base: Array | None) -> dict[str, Array]:
-    """Poses of the model's bodies in the world, where the model stands at `base` (n, 4, 4)."""
-    return dict(bodies) if base is None else {name: base @ each for name, each in bodies.items()}
-
-
-def _wide(values: Array, width: int, reference: str) -> Array:
+def _wide(reference: str, rows: RecordedRows, width: int) -> Array:
+    """Numbers (n, width) of a reference. Raises UserError: there are other ones."""
+    values = picked(reference, rows.get)
     if values.shape[1] != width:
         raise UserError(f"columns: {reference}: has {values.shape[1]} numbers, expected {width}")
     return np.asarray(values, float)

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,8 +28,9 @@ from tacgen.replay.preparation import WRITTEN_KEYS
 from tacgen.replay.selection import FACE_SPACING_MM, RecordedBody
 from tacgen.sensor.yaml_source import Tree
 from tacgen.touch import grasps, intervals
-from tacgen.touch.episode import EpisodeLog, Episodes, Finger, Thing
+from tacgen.touch.episode import EpisodeLog, Finger, Thing
 from tacgen.touch.intervals import AtFinger, Interval, Rate
+from tacgen.touch.recording import Recording
 
 TABLE_KEY = "trajectory[0].replay.file"
 UNTOUCHED_FRAMES = 8  # pictures of an untouched sensor, which differ by the camera's noise
@@ -80,7 +82,7 @@ class TouchScenes:
     notes: tuple[str, ...]
 
 
-def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, folder: Path, chosen: range | None = None,
+def prepare(source: Recording, fingers: Sequence[Finger], asked: TouchChoice, folder: Path, chosen: range | None = None,
             *, overwrite: bool = False) -> TouchScenes:  # fmt: skip
     """Find the contacts of a source's episodes, or of the `chosen` ones, and write the recipes of their scenes.
 
@@ -142,7 +144,7 @@ def prepare(source: Episodes, fingers: Sequence[Finger], asked: TouchChoice, fol
     )  # fmt: skip
 
 
-def _readable(source: Episodes, chosen: range | None, notes: list[str]) -> Iterator[EpisodeLog]:
+def _readable(source: Recording, chosen: range | None, notes: list[str]) -> Iterator[EpisodeLog]:
     """The episodes of a source that can be read, and a note on each other one."""
     for number in range(len(source)) if chosen is None else chosen:
         if number < len(source):
@@ -153,7 +155,7 @@ def _readable(source: Episodes, chosen: range | None, notes: list[str]) -> Itera
 
 
 def _nowhere(
-    source: Episodes, episodes: Sequence[EpisodeLog], fingers: Sequence[Finger],
+    source: Recording, episodes: Sequence[EpisodeLog], fingers: Sequence[Finger],
     things: Mapping[str, tuple[Thing, RecordedBody]], gels: Mapping[str, GelBody],
 ) -> str:  # fmt: skip
     """The error where no object comes near a gel: the closest approach, and where to look."""
@@ -220,17 +222,14 @@ class _Writer:
         and the frames from there on, with the reason."""
         fine, wrong = list[Interval](), list[tuple[Interval, str]]()
         for interval in group:
-            few, text = len(interval.log), self._problem(interval, body, base)
-            if text:
-                ok = 0  # of so many frames nothing is wrong, of `few` something is
-                while few - ok > 1:
-                    middle = (ok + few) // 2
-                    if said := self._problem(_part(interval, 0, middle), body, base):
-                        few, text = middle, said
-                    else:
-                        ok = middle
-                wrong.append((_part(interval, ok, None), text))
-                few = ok
+
+            def problem(count: int, interval: Interval = interval) -> str:
+                return self._problem(_part(interval, 0, count), body, base)
+
+            few = len(interval.log)
+            if problem(few):
+                few = bisect_left(range(few), True, key=lambda k: bool(problem(k + 1)))  # the last one is known to fail
+                wrong.append((_part(interval, few, None), problem(few + 1)))
             if few:
                 fine.append(_part(interval, 0, few))
                 text = self._text(fine[-1])
@@ -340,15 +339,11 @@ def joined(plans: Sequence[Plan], name: str) -> Plan:
     """The scenes of several plans as one, numbered through."""
     rows = [row for each in plans for row in each.rows]
     numbered = [replace(row, index=k, name=f"scene-{k:05d}", seed=scene_seed(0, k)) for k, row in enumerate(rows)]
-    return Plan(
-        name,
-        numbered,
-        [frames for each in plans for frames in each.frames],
-        paths=(TABLE_KEY,),
-        warnings=tuple(dict.fromkeys(text for each in plans for text in each.warnings)),
-        sensors=tuple(dict.fromkeys(sensor for each in plans for sensor in each.sensors)),
-        inputs=hashlib.sha256("".join(each.inputs for each in plans).encode()).hexdigest(),
-    )
+    frames = [count for each in plans for count in each.frames]
+    told = tuple(dict.fromkeys(text for each in plans for text in each.warnings))
+    sensors = tuple(dict.fromkeys(sensor for each in plans for sensor in each.sensors))
+    inputs = hashlib.sha256("".join(each.inputs for each in plans).encode()).hexdigest()
+    return Plan(name, numbered, frames, (TABLE_KEY,), told, sensors, inputs)
 
 
 def shard(whole: Plan, part: tuple[int, int]) -> Plan:

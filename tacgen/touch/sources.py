@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from tacgen.base.errors import UserError
 from tacgen.replay.log_file import HDF5_SUFFIXES
@@ -10,20 +10,22 @@ from tacgen.touch import columns as columns_file
 from tacgen.touch import kinematics, lerobot_data, logs, state_files, umi
 from tacgen.touch.columns import ColumnNames
 from tacgen.touch.kinematics import Kinematics
-from tacgen.touch.recording import RecordedRows, Recording
+from tacgen.touch.lerobot_data import LeRobotFolder
+from tacgen.touch.logs import Logs
+from tacgen.touch.recording import Recording
+from tacgen.touch.state_files import StateFile
+from tacgen.touch.umi import Buffer
 
+Reader = LeRobotFolder | Buffer | StateFile | Logs
 EPISODE_FILES = (
     "a LeRobot folder (meta/info.json), HDF5 with data/demo_0 or traj_0, UMI's zarr, or logs (.csv, .npz, .h5)"
 )
 
 
 def open_source(
-    path: Path,
-    model: Path | None = None,
-    objects: Iterable[str] = (),
-    columns: Path | Mapping[str, Any] | None = None,
+    path: Path, model: Path | None = None, objects: Iterable[str] = (), columns: Path | Mapping[str, Any] | None = None
 ) -> Recording:
-    """The episodes in a file or folder, an Episodes.
+    """The episodes in a file or folder.
 
     Args:
         path: one of EPISODE_FILES.
@@ -41,17 +43,6 @@ def open_source(
         raise UserError(f"{path}: there is no such file or folder")
     kind, found = _reader(path, known, asked, given)
     return Recording(path, kind, given.fps or found.fps, len(found), found.rows, asked, given)
-
-
-class Reader(Protocol):
-    """Episodes of one format."""
-
-    @property
-    def fps(self) -> float: ...
-
-    def __len__(self) -> int: ...
-
-    def rows(self, number: int) -> RecordedRows: ...
 
 
 def _reader(path: Path, model: Kinematics | None, asked: Mapping[str, str], given: ColumnNames) -> tuple[str, Reader]:

@@ -91,22 +91,16 @@ def of_mesh_file(name: str, file: Path, given: Mapping[str, Any] | None = None) 
 
 def _analytic(solid: RigidPart) -> BodySurface | None:
     """A ball, a rod with round ends or a round rod; a recipe's box has no upper end."""
-    radius, half = float(solid.size[0]), float(solid.size[1])
-    down = np.eye(4)
-    if solid.kind == "sphere":
-        down[2, 3] = -radius
-        return BodySurface({"shape": "sphere", "radius_mm": radius}, solid.pose @ down)
+    if solid.kind not in ("sphere", "capsule", "cylinder"):
+        return None
+    radius, half, pose, down = float(solid.size[0]), float(solid.size[1]), solid.pose, np.eye(4)
+    shape: dict[str, Any] = {"shape": solid.kind, "radius_mm": radius}
+    down[2, 3] = -half if solid.kind == "cylinder" else -radius
     if solid.kind == "capsule":
-        down[2, 3] = -radius
-        return BodySurface(
-            {"shape": "capsule", "radius_mm": radius, "length_mm": 2 * half}, solid.pose @ ALONG_Z @ down
-        )
+        pose = pose @ ALONG_Z
     if solid.kind == "cylinder":
-        down[2, 3] = -half
-        fillet = min(LARGEST_FILLET_MM, MAX_FILLET_PART * min(radius, half))
-        rod = {"shape": "cylinder", "radius_mm": radius, "fillet_mm": fillet, "length_mm": 2 * half}
-        return BodySurface(rod, solid.pose @ down)
-    return None
+        shape["fillet_mm"] = min(LARGEST_FILLET_MM, MAX_FILLET_PART * min(radius, half))
+    return BodySurface(shape if solid.kind == "sphere" else shape | {"length_mm": 2 * half}, pose @ down)
 
 
 def _mesh(solid: RigidPart) -> "trimesh.Trimesh":

@@ -128,10 +128,8 @@ def test_a_trimesh_is_the_file_it_was_read_from(tmp_path: Path) -> None:
     shape = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
     shape.export(tmp_path / "ball.stl")
     press = tacgen.Press(depth_mm=0.3, frames=1)
-    found = [
-        pressed(indenter=given, movements=press, outputs=["force", "traction"])
-        for given in (trimesh.load_mesh(tmp_path / "ball.stl"), tmp_path / "ball.stl")
-    ]
+    both = trimesh.load_mesh(tmp_path / "ball.stl"), tmp_path / "ball.stl"
+    found = [pressed(indenter=given, movements=press, outputs=["force", "traction"]) for given in both]
     assert found[0].force[0, 2] < -0.05
     for name in found[0].names:
         assert np.array_equal(found[0][name], found[1][name]), name
@@ -147,12 +145,8 @@ def test_a_gel_of_layers_is_a_sensor() -> None:
     layer = tacgen.NeoHookeLayer(name="silicone", thickness_mm=3, youngs_modulus_mpa=0.2, poissons_ratio=0.49)
     soft = layer.model_copy(update={"youngs_modulus_mpa": 0.1})
     press = tacgen.Press(depth_mm=0.3, frames=1)
-    pair = [
-        pressed(
-            sensor=tacgen.Gel(width_mm=16, height_mm=12, layers=(each,)), movements=press, outputs=("force", "height")
-        )
-        for each in (layer, soft)
-    ]
+    gels = [tacgen.Gel(width_mm=16, height_mm=12, layers=(each,)) for each in (layer, soft)]
+    pair = [pressed(sensor=gel, movements=press, outputs=("force", "height")) for gel in gels]
     assert pair[0].force[0, 2] == pytest.approx(2 * pair[1].force[0, 2], rel=1e-3)
     assert pair[0].height.shape == (1, 240, 320)
     assert pair[0].sensor.gel.layers == (layer,)
@@ -232,9 +226,8 @@ def test_mistakes_are_one_line(changes: dict[str, object], says: str) -> None:
 
 
 def test_parts_say_what_is_wrong_in_one_line() -> None:
-    with pytest.raises(
-        tacgen.UserError, match=r"^Sphere: radius: unknown key, did you mean radius_mm\?; there are: shape, radius_mm$"
-    ):
+    said = r"^Sphere: radius: unknown key, did you mean radius_mm\?; there are: shape, radius_mm$"
+    with pytest.raises(tacgen.UserError, match=said):
         tacgen.Sphere(radius=4)  # type: ignore[call-arg]
     with pytest.raises(tacgen.UserError, match=r"^Slide: x: unknown key, did you mean x_mm\?; there are: "):
         tacgen.Slide(x=4, frames=2)  # type: ignore[call-arg]

@@ -57,9 +57,8 @@ def test_bundles_are_those_of_the_local_engine_and_say_who_solved_them(on_cpu: N
         assert ours.attrs["solver"].startswith("batch engine on cpu, torch ")
         assert ours.attrs["input_key"] == theirs.attrs["input_key"]
         np.testing.assert_allclose(ours["/frames/force"][:], theirs["/frames/force"][:], rtol=1e-5, atol=1e-7)
-    assert sorted(path.name for path in (tmp_path / "cuda").iterdir()) == sorted(
-        path.name for path in (tmp_path / "local").iterdir()
-    )
+    cuda, local = ({path.name for path in (tmp_path / engine).iterdir()} for engine in ("cuda", "local"))
+    assert cuda == local
 
 
 def test_what_the_batch_engine_lacks_is_solved_on_the_cpu_and_said(on_cpu: None, tmp_path: Path) -> None:
@@ -146,9 +145,7 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
     waited = list[bool]()
 
     def solve(folder: Path) -> cuda_engine.SolvedPart:
-        solution_file.write(
-            folder / cuda_engine.SOLUTIONS_FOLDER / f"{second.name}.npz", SolvedScene("", why="solved first")
-        )
+        solution_file.write(cuda_engine._place(folder, second), SolvedScene("", why="solved first"))
         end = time.monotonic() + 60
         while not (out / f"{second.name}.h5").exists() and time.monotonic() < end:
             time.sleep(0.05)
@@ -212,9 +209,7 @@ def test_chunks_whose_scenes_are_all_put_off_end(tmp_path: Path, monkeypatch: py
         if not patient:
             return cuda_engine.SolvedPart(late=[row.name])
         patiently.append(row.name)
-        solution_file.write(
-            folder / cuda_engine.SOLUTIONS_FOLDER / f"{row.name}.npz", SolvedScene("", why="of no matter")
-        )
+        solution_file.write(cuda_engine._place(folder, row), SolvedScene("", why="of no matter"))
         return cuda_engine.SolvedPart()
 
     def begun(rows: list[Row], folder: Path, devices: object, solving: Executor, *how: Any) -> list[Any]:

@@ -58,9 +58,8 @@ def test_a_worker_of_a_real_scheduler_killed_in_the_middle_loses_nothing(tmp_pat
         worker = [*python, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
         started += [subprocess.Popen(worker, **quiet) for _ in range(2)]
         spoil(out, "scene-00002", "slow")
-        deadly = subprocess.Popen(
-            [sys.executable, "-c", KILLER, str(out / "scene-00000.h5"), *(str(p.pid) for p in started[1:2])]
-        )
+        killer = [sys.executable, "-c", KILLER, str(out / "scene-00000.h5"), str(started[1].pid)]
+        deadly = subprocess.Popen(killer)
         results = run(out, engine="dask", scheduler=address)
         deadly.wait()
         assert {r.status for r in results} == {"ok"}

@@ -68,9 +68,8 @@ def test_memory_is_not_returned_after_each_short_scene(
     for number in range(3):
         ours.send((number, tmp_path, False))
     begun: list[int] = []
-    worker = Thread(
-        target=worker_main._work, args=(theirs, lambda row, folder, **_: row, lambda: begun.append(len(returned)))
-    )
+    work = theirs, lambda row, folder, **_: row, lambda: begun.append(len(returned))
+    worker = Thread(target=worker_main._work, args=work)
     worker.start()
     assert [ours.recv() for _ in range(3)] == [("done", 0), ("done", 1), ("done", 2)]
     ours.close()
@@ -182,9 +181,8 @@ def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyP
     while not (environment := listed.read_bytes()):  # empty until the kernel has started the program
         time.sleep(0.01)
     worker.stop(patience=10)
-    assert {f"{name}=1" for name in THREAD_VARIABLES[1:]} | {"OMP_NUM_THREADS=3"} <= set(
-        environment.decode().split("\0")
-    )
+    wanted = {*(f"{name}=1" for name in THREAD_VARIABLES[1:]), "OMP_NUM_THREADS=3"}
+    assert wanted <= set(environment.decode().split("\0"))
     monkeypatch.setenv("OMP_NUM_THREADS", "0")
     assert worker_process._threads()["OMP_NUM_THREADS"] == "1"
 

@@ -33,11 +33,9 @@ def run(folder: Path, samples: int, sets: tuple[str, ...] = (), **options: objec
     folder.parent.mkdir(exist_ok=True)
     make_plan(folder.parent)  # writes the recipe
     rows = plan.load(folder.parent / "many.yaml", [f"vary.samples={samples}", *sets], options.get("shard") or (0, 1))
-    notes: list[str] = []
-    batch.run(
-        rows, folder, task=TASK, on_event=lambda e: notes.append(e["note"]) if e["event"] == "note" else None, **options
-    )
-    return notes
+    events: list[dict[str, str]] = []
+    batch.run(rows, folder, task=TASK, on_event=events.append, **options)
+    return [event["note"] for event in events if event["event"] == "note"]
 
 
 def radii(folder: Path) -> dict[str, float]:

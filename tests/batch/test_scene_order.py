@@ -53,10 +53,8 @@ def test_a_batch_ends_sooner_with_long_scenes_first() -> None:
 
 def test_the_plans_order_is_kept_until_enough_is_known() -> None:
     order, plan = SceneOrder(), scenes(0, 40)
-    known, waiting = (
-        sorted(plan[:MIN_SCENES_FOR_PREDICTION], key=lambda scene: scene.seconds),
-        plan[MIN_SCENES_FOR_PREDICTION:],
-    )
+    known = sorted(plan[:MIN_SCENES_FOR_PREDICTION], key=lambda scene: scene.seconds)
+    waiting = plan[MIN_SCENES_FOR_PREDICTION:]
     for scene in known[:-1]:
         order.learn(scene, {"solve": scene.seconds})  # type: ignore[arg-type]
         assert order.longest(waiting) == 0  # type: ignore[arg-type]

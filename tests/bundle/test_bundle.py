@@ -53,9 +53,8 @@ def contents(draw: st.DrawFn) -> tuple[int, int, dict[str, np.ndarray]]:
     arrays = {}
     for path in paths:
         shape = tuple(sizes[d] if isinstance(d, str) else d for d in LAYOUT[path].dims)
-        arrays[path.replace("*", draw(st.sampled_from(["coated", "bonded"])))] = random_array(
-            rng, path, shape, sizes.get(LAYOUT[path].below, 100)
-        )
+        name = path.replace("*", draw(st.sampled_from(["coated", "bonded"])))
+        arrays[name] = random_array(rng, path, shape, sizes.get(LAYOUT[path].below, 100))
     return planned, written, arrays
 
 
@@ -341,12 +340,8 @@ def test_a_writer_that_was_stopped_is_reported_from_damage(tmp_path: Path) -> No
 def test_an_invalid_bundle_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "text.h5").write_text("hello")
     h5py.File(tmp_path / "other.h5", "w").close()
-    for name, message in {
-        "text.h5": "not an HDF5 file",
-        "other.h5": "an HDF5 file, but no tacgen bundle",
-        "none.h5": "No such file or directory",
-        ".": "Is a directory",
-    }.items():
+    what = {"text.h5": "not an HDF5 file", "other.h5": "an HDF5 file, but no tacgen bundle"}
+    for name, message in {**what, "none.h5": "No such file or directory", ".": "Is a directory"}.items():
         with pytest.raises(UserError, match=message) as caught:
             read(tmp_path / name)
         assert caught.value.lines == (f"{tmp_path / name}: {message}",)

@@ -55,9 +55,6 @@ def test_validate_tells_it_before_the_run() -> None:
     assert "note: expected error of the force by the mesh: about 1 %, within a factor of 2 (edges of 0.36 mm" in said
     coarse = CliRunner().invoke(cli.app, ["validate", "quickstart", "--set", "quality=draft"]).stdout
     assert "about 4 %" in coarse
-    forced = (
-        CliRunner()
-        .invoke(cli.app, ["validate", "quickstart", "--set", "trajectory=[{press: {force_n: 1, frames: 1}}]"])
-        .stdout
-    )
+    press = "trajectory=[{press: {force_n: 1, frames: 1}}]"
+    forced = CliRunner().invoke(cli.app, ["validate", "quickstart", "--set", press]).stdout
     assert "expected error" not in forced, "the depth is not known yet"

@@ -55,9 +55,8 @@ def test_a_scene_on_a_sensor_made_in_python_is_made_again_on_it() -> None:
     press = tacgen.Press(depth_mm=0.3, frames=1)
     for given in (soft, soft.gel, "gelsight_mini"):
         over = {} if given is not soft else {"camera.exposure": 2.0}
-        made = tacgen.simulate(
-            given, tacgen.Sphere(radius_mm=4), press, outputs="force", quality=COARSE, sensor_overrides=over
-        )
+        how = {"outputs": "force", "quality": COARSE, "sensor_overrides": over}
+        made = tacgen.simulate(given, tacgen.Sphere(radius_mm=4), press, **how)
         (row,) = read_again(made.recipe)
         assert row.sensor == made.sensor
 

@@ -35,9 +35,8 @@ def test_invariants(stress: list[float], mises: float, principal: list[float], p
     assert postprocess.von_mises(s) == pytest.approx(mises, abs=1e-6)
     assert postprocess.principal(s) == pytest.approx(principal, abs=1e-6)
     assert postprocess.hydrostatic(s) == pytest.approx(pressure, abs=1e-6)
-    assert postprocess.largest_shear(np.stack([s, s])) == pytest.approx(
-        [(principal[0] - principal[2]) / 2] * 2, abs=1e-6
-    )
+    shear = (principal[0] - principal[2]) / 2
+    assert postprocess.largest_shear(np.stack([s, s])) == pytest.approx([shear] * 2, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -72,15 +72,12 @@ def test_wrenches_in_two_frames_do_the_same_work(scene: Bundle) -> None:
     still = np.eye(4)
     still[:3, :3], still[:3, 3] = about(np.array([0.6, 0.0, 0.8]), 1.1), (5.0, -3.0, 20.0)
     for pose in (still, scene["/frames/pose"]):
-        turn, at = (
-            np.broadcast_to(pose, (scene.frames, 4, 4))[:, :3, :3],
-            np.broadcast_to(pose, (scene.frames, 4, 4))[:, :3, 3],
-        )
+        each = np.broadcast_to(pose, (scene.frames, 4, 4))
+        turn, at = each[:, :3, :3], each[:, :3, 3]
         v, w = rng.normal(size=(2, scene.frames, 3))  # of the sensor's origin
         there = v + np.cross(w, at)
         motion = np.hstack([np.einsum("nji,nj->ni", turn, part) for part in (there, w)])
         power = (wrench(scene) * np.hstack([v, w])).sum(1)
         assert (wrench(scene, pose) * motion).sum(1) == pytest.approx(power, rel=1e-9)
-        assert np.linalg.norm(wrench(scene, pose)[:, :3], axis=1) == pytest.approx(
-            np.linalg.norm(scene["/frames/force"], axis=1)
-        )
+        size = np.linalg.norm(scene["/frames/force"], axis=1)
+        assert np.linalg.norm(wrench(scene, pose)[:, :3], axis=1) == pytest.approx(size)

@@ -2,14 +2,16 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from tacgen.touch.episode import BodySurface, EpisodeLog, Thing, Touch
+from tacgen.touch.label_columns import by_episode
 
 ROWS, FPS, MARKERS = 20, 10.0, 4
 IMAGE = (24, 32, 3)  # of the tactile sensor
@@ -28,9 +30,6 @@ class RecordedEpisodes:
 
     def __len__(self) -> int:
         return len(self.held)
-
-    def episodes(self) -> Iterator[EpisodeLog]:
-        return iter(self.held)
 
 
 def recorded(path: Path, kind: str = "lerobot", name: str = "demo_{}") -> RecordedEpisodes:
@@ -71,6 +70,13 @@ def both(count: int = 2) -> list[list[Touch]]:
     return [[felt(index, finger) for finger in ("left", "right")] for index in range(count)]
 
 
+def written(
+    by: ModuleType, source: RecordedEpisodes, touches: Sequence[Sequence[Touch]], out: Path, overwrite: bool = False
+) -> list[Path]:
+    """The files that a module writes of the touch of the source's first episodes."""
+    return by.write(source, by_episode(source.held[: len(touches)], touches), out, overwrite=overwrite)
+
+
 def digests(folder: Path) -> dict[str, str]:
     """SHA-256 of every file."""
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
@@ -86,23 +92,16 @@ def lerobot_folder(folder: Path, together: bool = True) -> Path:
 
     vector = {"dtype": "float32", "shape": [3], "names": ["x", "y", "z"]}
     features: dict[str, Any] = {"observation.state": vector, "action": vector}
-    features["observation.images.front"] = {
-        "dtype": "image",
-        "shape": [8, 8, 3],
-        "names": ["height", "width", "channels"],
-    }
-    features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    features |= {
-        n: {"dtype": "int64", "shape": [1], "names": None}
-        for n in ("frame_index", "episode_index", "index", "task_index")
-    }
+    size = ["height", "width", "channels"]
+    features["observation.images.front"] = {"dtype": "image", "shape": [8, 8, 3], "names": size}
+    numbers = dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
+    for name, kind in {"timestamp": "float32", **numbers}.items():
+        features[name] = {"dtype": kind, "shape": [1], "names": None}
     tables, rows = [], []
     for index in range(2):
         draw = np.random.default_rng(index)
-        png = [
-            {"bytes": encoded(draw.integers(0, 256, (8, 8, 3)).astype(np.uint8), "PNG"), "path": None}
-            for _ in range(ROWS)
-        ]
+        pictures = draw.integers(0, 256, (ROWS, 8, 8, 3)).astype(np.uint8)
+        png = [{"bytes": encoded(picture, "PNG"), "path": None} for picture in pictures]
         columns = {
             name: pa.FixedSizeListArray.from_arrays(pa.array(draw.normal(size=3 * ROWS).astype(np.float32)), 3)
             for name in ("observation.state", "action")

@@ -97,13 +97,8 @@ def log_arrays() -> dict[str, Any]:
     position = np.zeros((4, 3))
     position[:, 2] = (6.0, 4.2, 3.8, 3.6)  # of the centre of a ball of 4 mm
     turn = np.tile([1.0, 0, 0, 0], (4, 1))
-    known = {"units": "mm", "quaternion": "wxyz"}
-    return {
-        "time": 0.1 * np.arange(4),
-        "object_position": position,
-        "object_quaternion": turn,
-        "force": position,
-    } | known
+    known = {"units": "mm", "quaternion": "wxyz", "force": position}
+    return {"time": 0.1 * np.arange(4), "object_position": position, "object_quaternion": turn} | known
 
 
 LOG_TABLE = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz,force_x_n,force_y_n,force_z_n\n" + "".join(

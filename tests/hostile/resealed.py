@@ -62,22 +62,20 @@ def _width(rng: Random, group: Any) -> str:
         return "nothing"
     name, size = rng.choice(free), rng.choice((0, 1, 2, 3, 5, 7, 9, 11))
     values = group[name][...]
-    _put(group, name, np.resize(values, (len(values), size)) if size else values[:, :0])
+    put(group, name, np.resize(values, (len(values), size)) if size else values[:, :0])
     return f"{name} {size} wide"
 
 
 def _size(rng: Random, group: Any) -> str:
     """Another size of an axis, in all datasets that share it."""
     named = {name: entry(f"/{name}").shape.split() for name in datasets(group)}
-    axis, size = (
-        rng.choice(sorted({dim for dims in named.values() for dim in dims if dim.isalpha()})),
-        rng.choice((0, 1, 2)),
-    )
+    axis = rng.choice(sorted({dim for dims in named.values() for dim in dims if dim.isalpha()}))
+    size = rng.choice((0, 1, 2))
     for name, dims in named.items():
         if axis in dims:
             values = group[name][...]
             at = dims.index(axis)
-            _put(group, name, np.take(values, np.arange(min(size, values.shape[at])), axis=at))
+            put(group, name, np.take(values, np.arange(min(size, values.shape[at])), axis=at))
     return f"{axis} = {size}"
 
 
@@ -92,23 +90,24 @@ def _indenter(rng: Random, group: Any) -> str:
         "capsule": ("radius_mm", "length_mm"), "torus": ("radius_mm", "tube_radius_mm"), "mesh": ("file", "scale"),
     }.get(shape if isinstance(shape, str) else "", tuple(KEYS))  # fmt: skip
     made = {"shape": shape, **{key: fields[key] for key in known if key in fields}}
-    return _recipe(group, indenter=made)
+    return rewritten(group, indenter=made)
 
 
 def _movement(rng: Random, group: Any) -> str:
     kind = rng.choice(("press", "slide", "twist", "close", "lift", "replay", "jump", ""))
     keys = rng.choice(("depth_mm", "force_n", "x_mm", "angle_deg", "height_mm", "file", "frames"))
-    return _recipe(
-        group, trajectory=rng.choice(([], [{}], [{kind: rng.choice(SIZES)}], [{kind: {keys: rng.choice(SIZES)}}] * 3))
-    )
+    moves = ([], [{}], [{kind: rng.choice(SIZES)}], [{kind: {keys: rng.choice(SIZES)}}] * 3)
+    return rewritten(group, trajectory=rng.choice(moves))
 
 
-def _recipe(group: Any, **changes: Any) -> str:
+def rewritten(group: Any, **changes: Any) -> str:
+    """Other keys of a bundle's recipe."""
     group.attrs["recipe"] = json.dumps(json.loads(group.attrs["recipe"]) | changes)
     return str(changes)
 
 
-def _put(group: Any, name: str, values: np.ndarray) -> None:
+def put(group: Any, name: str, values: np.ndarray) -> None:
+    """Another dataset in the place of one, with its attributes."""
     attrs = dict(group[name].attrs)
     del group[name]
     group.create_dataset(name, data=values).attrs.update(attrs)

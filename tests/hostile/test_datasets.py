@@ -22,7 +22,7 @@ from helpers.synthetic import attributes, write
 
 from hostile import attempts, kills
 from hostile.mutations import reseal
-from hostile.resealed import MUTATIONS
+from hostile.resealed import MUTATIONS, put, rewritten
 from tacgen.base.errors import UserError
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import read
@@ -56,28 +56,18 @@ def test_a_few_of_each_kind(source: Path, kind: str) -> None:
 
 
 CRAFTED: dict[str, Callable[[Any], Any]] = {
-    "a shape that is no text": lambda file: _recipe(file, indenter={"shape": 5}),
-    "a file that is no text": lambda file: _recipe(file, indenter={"shape": "mesh", "file": {"a": 1}}),
-    "cells of 7 nodes": lambda file: _put(file, "mesh/cells", np.zeros((1, 7), "<i4")),
-    "cells without nodes": lambda file: _put(file, "mesh/cells", np.zeros((1, 0), "<i4")),
-    "nodes that are not there": lambda file: _put(file, "mesh/cells", file["mesh/cells"][()] + 1),
-    "facets below zero": lambda file: _put(file, "mesh/facets/coated", file["mesh/facets/coated"][()] - 2),
-    "layers without cells": lambda file: _put(file, "mesh/layer", np.array([2**31 - 1], "<i4")),
-    "poses that are not numbers": lambda file: _put(file, "frames/pose", np.nan * file["frames/pose"][()]),
-    "nodes far away": lambda file: _put(file, "mesh/points", 1e300 * file["mesh/points"][()]),
-    "maps without samples": lambda file: _put(file, "reference/height", file["reference/height"][:0]),
+    "a shape that is no text": lambda file: rewritten(file, indenter={"shape": 5}),
+    "a file that is no text": lambda file: rewritten(file, indenter={"shape": "mesh", "file": {"a": 1}}),
+    "cells of 7 nodes": lambda file: put(file, "mesh/cells", np.zeros((1, 7), "<i4")),
+    "cells without nodes": lambda file: put(file, "mesh/cells", np.zeros((1, 0), "<i4")),
+    "nodes that are not there": lambda file: put(file, "mesh/cells", file["mesh/cells"][()] + 1),
+    "facets below zero": lambda file: put(file, "mesh/facets/coated", file["mesh/facets/coated"][()] - 2),
+    "layers without cells": lambda file: put(file, "mesh/layer", np.array([2**31 - 1], "<i4")),
+    "poses that are not numbers": lambda file: put(file, "frames/pose", np.nan * file["frames/pose"][()]),
+    "nodes far away": lambda file: put(file, "mesh/points", 1e300 * file["mesh/points"][()]),
+    "maps without samples": lambda file: put(file, "reference/height", file["reference/height"][:0]),
     "fewer frames than planned": lambda file: file.attrs.update(frames_planned=9),
 }
-
-
-def _recipe(file: Any, **changes: Any) -> None:
-    file.attrs["recipe"] = json.dumps(json.loads(file.attrs["recipe"]) | changes)
-
-
-def _put(file: Any, name: str, values: np.ndarray) -> None:
-    attrs = dict(file[name].attrs)
-    del file[name]
-    file.create_dataset(name, data=values).attrs.update(attrs)
 
 
 def all_of(path: Path) -> list[np.ndarray]:
@@ -103,7 +93,7 @@ def test_an_indenter_of_a_later_version_is_not_drawn(source: Path, tmp_path: Pat
     path = tmp_path / "scene-00000.h5"
     shutil.copy(source / "whole" / path.name, path)
     with h5py.File(path, "a") as file:
-        _recipe(file, indenter=indenter)
+        rewritten(file, indenter=indenter)
     attempts.command("view", str(path), "-o", str(tmp_path / "view.html"))
     assert (tmp_path / "view.html").stat().st_size
 
@@ -227,18 +217,13 @@ def test_a_folder_that_may_not_be_read_is_no_empty_one(source: Path, tmp_path: P
     for closed in (there / "in", there / "in" / "loose"):
         closed.chmod(0)
 
-        def read_it() -> str:
-            os.setuid(65534)
-            dataset.scenes(there / "in" / "loose")
-            return "accepted"
+        for work, folder in ((dataset.scenes, there / "in" / "loose"), (check, there / "in")):
 
-        def check_it() -> str:
-            os.setuid(65534)
-            check(there / "in")
-            return "accepted"
+            def by_another(work: Callable[[Path], object] = work, folder: Path = folder) -> str:
+                os.setuid(65534)
+                return str(work(folder))
 
-        for work in (read_it, check_it):
-            assert attempts.contained(work, there / "note") == "refused", (closed, work)
+            assert attempts.contained(by_another, there / "note") == "refused", (closed, work)
         closed.chmod(0o755)
     shutil.rmtree(there)
 

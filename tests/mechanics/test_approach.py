@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from tacgen.cli.main import app
 from tacgen.geometry import first_touch
 from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, SphereSdf
-from tacgen.recipe import approach, assets, loading, plan, scene_checks
+from tacgen.recipe import assets, loading, plan, scene_checks
 from tacgen.recipe.scene_of_row import gel_of
 
 
@@ -71,11 +71,11 @@ def test_what_is_inside_the_gel_without_force_is_never_ok(tmp_path: Path) -> Non
     path.write_text(f"{HEAD}  - slide: {{x_mm: 1, frames: 2}}\n")
     for may_miss in ("true", "false"):
         recipe = plan.load(path, [f"may_miss={may_miss}"]).rows[0].recipe
-        fine, said = approach.verdict(recipe, -0.158)
+        fine, said = scene_checks.verdict(recipe, -0.158)
         assert (fine, said.split(": ")[0]) == (
             False, "the indenter is 0.158 mm inside the gel without force, between contact points",
         )  # fmt: skip
-        assert approach.verdict(recipe, 0.05)[0] == (may_miss == "true")
+        assert scene_checks.verdict(recipe, 0.05)[0] == (may_miss == "true")
 
 
 def test_scenes_without_contact_are_one_note(tmp_path: Path) -> None:
@@ -86,4 +86,4 @@ def test_scenes_without_contact_are_one_note(tmp_path: Path) -> None:
     )
     (note,) = scene_checks.notes(plan.load(path).rows)
     assert note.startswith("scene-00000 touches the gel in no frame: closest approach ")
-    assert note.endswith("; nor do 49 more of the first 50 scenes: a run rejects it; " + approach.KEEP_HINT)
+    assert note.endswith("; nor do 49 more of the first 50 scenes: a run rejects it; " + scene_checks.KEEP_HINT)

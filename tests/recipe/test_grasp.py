@@ -3,17 +3,13 @@
 from pathlib import Path
 
 import pytest
+from helpers.small_recipe import BALL
 
 from tacgen.base.errors import UserError
 from tacgen.recipe import grasp_of_row, plan
 
-RECIPE = """
-tacgen: 1
-name: grasp
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 5}
-grasp: {mass_kg: 0.05}
-trajectory: [close: {force_n: 1, frames: 2}, lift: {height_mm: 2, frames: 1}, hold: {frames: 1}]
+RECIPE = f"""{BALL.replace("4.0", "5")}grasp: {{mass_kg: 0.05}}
+trajectory: [close: {{force_n: 1, frames: 2}}, lift: {{height_mm: 2, frames: 1}}, hold: {{frames: 1}}]
 outputs: [force]
 """
 
@@ -48,13 +44,14 @@ def test_a_cylinder_with_a_length_is_held_at_half_of_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sets", "said"),
     [
-        (["grasp=null"], "trajectory[0].close: needs a grasp"),
+        (["grasp=null"], "trajectory[0].close: needs a grasp: add one, or leave this movement out"),
         (["trajectory=[close: {force_n: 1, frames: 1}, twist: {angle_deg: 3, frames: 1}]"],
          "is no movement of a grasp, which has close, lift, tilt, hold, replay"),
         (["trajectory=[hold: {frames: 1}]"], "trajectory[0]: must be close"),
         (["trajectory=[close: {frames: 1}]"], "exactly one aim of width_mm, force_n"),
-        (["trajectory=[close: {force_n: 1, frames: 1, duration_s: 1}]"], "duration_s: has no effect in a grasp"),
-        (["start.x_mm=1"], "start: has no effect in a grasp"),
+        (["trajectory=[close: {force_n: 1, frames: 1, duration_s: 1}]"],
+         "duration_s: has no effect in a grasp, which is quasi-static: leave it out"),
+        (["start.x_mm=1"], "start: has no effect in a grasp: leave it out"),
         (["indenter={shape: box, size_x_mm: 8, size_y_mm: 8}"], "grasp: must say at which height"),
         (["indenter={shape: cylinder, radius_mm: 8}"], "grasp: must say at which height"),
         (["indenter={shape: cylinder, radius_mm: 8, length_mm: 9}", "grasp.height_mm=11"], "object's height, 9"),
@@ -62,7 +59,7 @@ def test_a_cylinder_with_a_length_is_held_at_half_of_it(tmp_path: Path) -> None:
         (["trajectory=[close: {width_mm: 2, frames: 1}]"], "width_mm: must be above 2: first touch is at 10 mm"),
         (["trajectory=[close: {width_mm: 9, frames: 1}, replay: {file: no.csv}]"], "no.csv"),
         (["grasp.height_mm=11"], "grasp.height_mm: must be at most the object's height, 10"),
-        (["grasp.gravity=[0, 0, 0]"], "grasp.gravity: must be a direction"),
+        (["grasp.gravity=[0, 0, 0]"], "grasp.gravity: must be a direction, such as 0, 0, -1 (got 0, 0, 0)"),
         (["grasp.right=nothing"], "grasp.right: "),
         (["grasp.right=ninedtact", "outputs=[markers]"], "grasp.right: asks for markers"),
     ],

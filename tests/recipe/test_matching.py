@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.small_recipe import HEAD
+from helpers.small_recipe import BALL, HEAD
 
 from tacgen.base.errors import UserError
 from tacgen.mechanics.scene import Scene
@@ -15,14 +15,9 @@ Array = np.ndarray
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 FORCES = f"{TITLES},force_x_n,force_y_n,force_z_n"
 DOWN = "1,0,0,0"
-GRASP = """
-tacgen: 1
-name: grasp
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 5}
-grasp: {mass_kg: 0.05}
+GRASP = f"""{BALL.replace("4.0", "5")}grasp: {{mass_kg: 0.05}}
 outputs: [force]
-trajectory: [replay: {file: poses.csv, match: grip}]
+trajectory: [replay: {{file: poses.csv, match: grip}}]
 """
 
 
@@ -33,8 +28,8 @@ def load(folder: Path, rows: list[str], *sets: str, titles: str = FORCES, text: 
     return plan.load(path, sets)
 
 
-def built(folder: Path, rows: list[str], *sets: str, titles: str = FORCES) -> Scene:
-    return scene_of_row.build(load(folder, rows, *sets, titles=titles).rows[0])
+def built(folder: Path, rows: list[str], *sets: str, **how: str) -> Scene:
+    return scene_of_row.build(load(folder, rows, *sets, **how).rows[0])
 
 
 def wanted(folder: Path, forces: list[str], *sets: str) -> Array:

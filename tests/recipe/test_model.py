@@ -95,16 +95,10 @@ def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: st
     [
         ("{shape: cylinder, radius_mm: 3, fillet_mm: 4}", "4}", "fillet_mm: must be at most radius_mm, 3 (got 4)"),
         ("{shape: cylinder, radius_mm: 0.1}", "indenter", "fillet_mm: must be at most radius_mm, 0.1 (got 0.2)"),
-        (
-            "{shape: cylinder, radius_mm: 3, length_mm: 0.3}",
-            "0.3",
-            "length_mm: must be at least twice fillet_mm, 0.4 (got 0.3)",
-        ),
-        (
-            "{shape: cylinder, radius_mm: 3, fillet_mm: 0.1, length_mm: 0.3}",
-            "0.3",
-            "length_mm: is too thin for a mesh of edge 0.36 mm",
-        ),
+        ("{shape: cylinder, radius_mm: 3, length_mm: 0.3}", "0.3",
+         "length_mm: must be at least twice fillet_mm, 0.4 (got 0.3)"),
+        ("{shape: cylinder, radius_mm: 3, fillet_mm: 0.1, length_mm: 0.3}", "0.3",
+         "length_mm: is too thin for a mesh of edge 0.36 mm"),
         ("{shape: box, size_x_mm: 1, size_y_mm: 3, fillet_mm: 0.6}", "0.6", "fillet_mm: must be at most half the"),
         ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
         ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
@@ -136,12 +130,8 @@ def test_all_problems_come_at_once_and_in_order(tmp_path: Path):
     text = GOOD.replace("depth_mm: 1.0", "depth_mm: -1").replace("radius_mm", "raduis_mm").replace("force", "rbg")
     told = lines_of(tmp_path, text + "colour: 1\n", ("sensor.gel.layers[0].poissons_ratio=0.5",))
     assert told[0].startswith("--set sensor.gel.layers[0].poissons_ratio=0.5: ")
-    assert [line.split(": ")[1] for line in told[1:]] == [
-        "indenter.raduis_mm",
-        "trajectory[0].press.depth_mm",
-        "outputs[0]",
-        "colour",
-    ]
+    keys = ["indenter.raduis_mm", "trajectory[0].press.depth_mm", "outputs[0]", "colour"]
+    assert [line.split(": ")[1] for line in told[1:]] == keys
 
 
 def sensor_text() -> str:
@@ -213,9 +203,8 @@ def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):
 def test_a_mistake_on_the_command_line_is_reported_there(tmp_path: Path, override: str, line: str | None):
     (told,) = lines_of(tmp_path, GOOD, (override,))
     if line is None:  # the press is too deep for the thinner gel: that stands in the recipe
-        assert told.startswith(
-            "recipe.yaml:8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 0.8"
-        )
+        deep = "must be less than the gel is thick, 0.8"
+        assert told.startswith(f"recipe.yaml:8:23: trajectory[0].press.depth_mm: {deep}")
     else:
         assert told.startswith(f"--set {override}: ")
         assert told.endswith(line)

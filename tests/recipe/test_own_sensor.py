@@ -125,17 +125,13 @@ def test_usual_recipes_have_no_such_warning() -> None:
     [
         ("contact.friction=60", "contact.friction: a coefficient of 60; that of gels is at most about 3"),
         ("contact.friction=3", ""),
-        (
-            "trajectory[0].press.depth_mm=3.5",
-            "trajectory[0].press.depth_mm: presses 3.5 mm into a gel 4 mm thick: forces so deep are uncertain",
-        ),
+        ("trajectory[0].press.depth_mm=3.5",
+         "trajectory[0].press.depth_mm: presses 3.5 mm into a gel 4 mm thick: forces so deep are uncertain"),
         ("trajectory[0].press.depth_mm=2.8", ""),
-        (
-            "vary={samples: 3, over: {contact.friction: {uniform: [50, 60]}}}",
-            "contact.friction: a coefficient of 55.7895; that of gels is at most about 3 (and 2 more scenes)",
-        ),
+        ("vary={samples: 3, over: {contact.friction: {uniform: [50, 60]}}}",
+         "contact.friction: a coefficient of 55.7895; that of gels is at most about 3 (and 2 more scenes)"),
     ],
-)
+)  # fmt: skip
 def test_a_friction_that_no_gel_has_and_a_press_through_most_of_it_are_told(change: str, line: str) -> None:
     told = plan.load(assets.recipe_path("quickstart"), [change]).warnings
     assert len(told) == bool(line)

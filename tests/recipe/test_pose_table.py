@@ -36,8 +36,8 @@ def load(folder: Path, text: str, *sets: str, replay: str = "{file: poses.csv}",
     return plan.load(folder / "recipe.yaml", sets)
 
 
-def built(folder: Path, text: str, *sets: str, replay: str = "{file: poses.csv}", more: str = "") -> Scene:
-    return scene_of_row.build(load(folder, text, *sets, replay=replay, more=more).rows[0])
+def built(folder: Path, text: str, *sets: str, **how: str) -> Scene:
+    return scene_of_row.build(load(folder, text, *sets, **how).rows[0])
 
 
 def matrix(position: Array, q: Array) -> Array:
@@ -49,9 +49,8 @@ def matrix(position: Array, q: Array) -> Array:
 def test_rotations_equal_those_of_scipy() -> None:
     """One that is written out so that a recipe is checked without loading SciPy."""
     rng = np.random.default_rng(0)
-    for axis, angle in zip(
-        rng.normal(size=(200, 3)), rng.normal(size=200) * 10 ** rng.uniform(-5, 1, 200), strict=True
-    ):
+    axes, angles = rng.normal(size=(200, 3)), rng.normal(size=200) * 10 ** rng.uniform(-5, 1, 200)
+    for axis, angle in zip(axes, angles, strict=True):
         axis /= np.linalg.norm(axis)
         assert about(axis, angle) == pytest.approx(Rotation.from_rotvec(axis * angle).as_matrix(), rel=0, abs=1e-15)
     q = unit((1.0005, 0.0, 0.0, 0.0))
@@ -70,12 +69,8 @@ def test_rotations_equal_those_of_scipy() -> None:
         ("t,x_m,y_m,z_m,qw,qx,qy,qz", None, 1000),
         ("time, position.x, position.y, position.z, orientation.w, orientation.x, orientation.y, orientation.z", "mm",
          1),
-        (
-            "time,/arm/pose/position/x,/arm/pose/position/y,/arm/pose/position/z,"
-            "/arm/pose/orientation/w,/arm/pose/orientation/x,/arm/pose/orientation/y,/arm/pose/orientation/z",
-            "m",
-            1000,
-        ),
+        ("time,/arm/pose/position/x,/arm/pose/position/y,/arm/pose/position/z,"
+         "/arm/pose/orientation/w,/arm/pose/orientation/x,/arm/pose/orientation/y,/arm/pose/orientation/z", "m", 1000),
     ],
 )  # fmt: skip
 def test_columns_go_by_many_names(tmp_path: Path, titles: str, units: str | None, scale: float) -> None:
@@ -134,13 +129,11 @@ def test_titles_may_be_named_by_columns(tmp_path: Path) -> None:
         (table(ROWS).replace("0.7", "inf"), "line 4: x must be a number (got 'inf')"),
         (table(ROWS).replace("0.995", "0.95"), "line 4: a quaternion must be of length 1 (got 0.9552)"),
         (table(ROWS).replace("0.25,", "0.1,"), "line 4: time must increase (got 0.1 after 0.1)"),
-        (
-            table(ROWS).replace("0.25,", "1700000000.2,").replace("0.1,", "1700000000.3,", 1),
-            "line 4: time must increase (got 1700000000.2 after 1700000000.3)",
-        ),
+        (table(ROWS).replace("0.25,", "1700000000.2,").replace("0.1,", "1700000000.3,", 1),
+         "line 4: time must increase (got 1700000000.2 after 1700000000.3)"),
         (table(ROWS).replace("0.1,0.5,", "0.1,"), "line 3: has 7 cells, and the header 8"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_with_a_table_is_reported_by_line(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(UserError) as caught:
         load(tmp_path, text)
@@ -155,10 +148,8 @@ def test_all_bad_lines_are_reported_up_to_a_few(tmp_path: Path) -> None:
     path.write_text(table([(i, 0, 0, 0, 2, 0, 0, 0) for i in range(9)]))
     with pytest.raises(UserError) as caught:
         pose_table.read(path)
-    assert [line.split(":")[0] for line in caught.value.lines] == [
-        *(f"line {n}" for n in range(2, 7)),
-        "and 4 more lines",
-    ]
+    said = [*(f"line {n}" for n in range(2, 7)), "and 4 more lines"]
+    assert [line.split(":")[0] for line in caught.value.lines] == said
 
 
 @pytest.mark.parametrize(
@@ -248,13 +239,8 @@ def test_poses_of_another_body_in_another_frame(tmp_path: Path) -> None:
     for row, pose in zip(ROWS, sensor @ wanted @ np.linalg.inv(inner), strict=True):
         q = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         rows.append((row[0], *pose[:3, 3] / 1000, *q))
-    given = {
-        name: {
-            "position_mm": frame[:3, 3].tolist(),
-            "quaternion": Rotation.from_matrix(frame[:3, :3]).as_quat(scalar_first=True).tolist(),
-        }
-        for name, frame in (("sensor_pose", sensor), ("indenter_pose", inner))
-    }
+    frames = {"sensor_pose": sensor, "indenter_pose": inner}
+    given = {name: placement(frame).model_dump(mode="json") for name, frame in frames.items()}
     replay = json.dumps({"file": "poses.csv", "units": "m", **given})
     made = built(tmp_path, table(rows, TITLES.replace("_mm", "")), replay=replay)
     assert made.poses == pytest.approx(wanted, abs=1e-9)
@@ -317,17 +303,16 @@ def test_a_replay_that_begins_in_the_gel_is_approached_from_above(tmp_path: Path
 def test_movements_after_a_replay_start_at_its_last_row(tmp_path: Path) -> None:
     after = "  - press: {depth_mm: 0.8, frames: 2}\n  - slide: {x_mm: 0.3, frames: 1}\n  - release: {frames: 1}\n"
     made = built(tmp_path, table(ROWS), more=after)
-    assert made.poses[3:, :3, 3] == pytest.approx(
-        np.array([[0.7, 0.1, -0.6], [0.7, 0.1, -0.8], [1.0, 0.1, -0.8], [1.0, 0.1, 0.2]]), abs=1e-9
-    )
+    places = np.array([[0.7, 0.1, -0.6], [0.7, 0.1, -0.8], [1.0, 0.1, -0.8], [1.0, 0.1, 0.2]])
+    assert made.poses[3:, :3, 3] == pytest.approx(places, abs=1e-9)
     assert (made.poses[3:, :3, :3] == made.poses[2, :3, :3]).all()
     assert made.segment.tolist() == [0, 0, 0, 1, 1, 2, 3]
 
 
 def test_a_replay_after_a_force_is_not_shifted_by_the_depth_found(tmp_path: Path) -> None:
-    text = f"{HEAD}  - press: {{force_n: 1, frames: 1}}\n  - replay: {{file: poses.csv}}\n"
     (tmp_path / "poses.csv").write_text(table(ROWS))
-    (tmp_path / "recipe.yaml").write_text(text)
+    moves = "  - press: {force_n: 1, frames: 1}\n  - replay: {file: poses.csv}\n"
+    (tmp_path / "recipe.yaml").write_text(HEAD + moves)
     made = scene_of_row.build(plan.load(tmp_path / "recipe.yaml").rows[0])
     assert made.forced is not None
     assert made.forced.carry.tolist() == [1, 0, 0, 0]

@@ -10,7 +10,7 @@ from tacgen.mechanics.expected_error import Expected
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.model import QUALITIES
-from tacgen.recipe.quality_by_error import MIN_CHOSEN_EDGE_MM, _range_of
+from tacgen.recipe.scene_of_row import MIN_CHOSEN_EDGE_MM, _range_of
 
 BALL = "{shape: sphere, radius_mm: 4}"
 PRESS = "trajectory=[{press: {depth_mm: 0.8, frames: 1}}]"

@@ -12,14 +12,12 @@ QUICKSTART, GRASP = assets.recipe_path("quickstart"), assets.recipe_path("grasp"
 RECIPES = {
     "outputs=[force, markers]|sensor=digit": "leave them out, or add markers to its file",
     "dynamics=null|trajectory=[{press: {depth_mm: 1, frames: 1, duration_s: 1}}]": "leave it out, or add one of them",
-    "trajectory=[{close: {width_mm: 9, frames: 1}}]": "add one, or leave this movement out",
     "mesh=hex|sensor=digit_pinki": "leave mesh out",
     "render.method=table|sensor=ninedtact|outputs=[rgb]": "take transport",
     "render.method=path|sensor.camera.pixel_aspect=1.1|outputs=[rgb]": "are not square (camera.pixel_aspect)",
     "markers.method=analytic|sensor=digit|outputs=[force]": "take fem",
     "sensor=no/such.yaml": "a relative path starts at the working folder",
     "outputs=[force]|render.background=a.png": "add rgb to them, or leave background out",
-    "sensors=[digit, digit]|sensor=null": "leave the repeated one out",
     "vary={method: grid, over: {name: {choice: [a, b]}}}": "write a recipe for each value",
     "uncertainty={material: {modulus: 30}}": "must be at most 1 (got 30)",
     "uncertainty={pose: {depth_mm: 5}}": "must be at most the gel's thickness, 4 mm (got 5)",
@@ -29,12 +27,7 @@ RECIPES = {
     "indenter={shape: mesh, file: gear, size_mm: 1e9}": "is {shape: box, size_x_mm: 37.9, size_y_mm: 31.1}",
     "uncertainty={mesh: true}|dynamics={density_kg_m3: 1000, frame_s: 0.1}": "or grasp, dynamics and viscosity",
 }
-GRASPS = {
-    "start.x_mm=1": "leave it out",
-    "trajectory=[{close: {force_n: 1, frames: 1, duration_s: 1}}]": "leave it out",
-    "grasp.right=digit_pinki": "take another sensor",
-    "grasp.gravity=[0, 0, 0]": "such as 0, 0, -1 (got 0, 0, 0)",
-}
+GRASPS = {"grasp.right=digit_pinki": "take another sensor"}
 SENSORS = {
     "camera.center_mm=[50, 0]": "nearer to 0, 0",
     "camera.tilt_deg=[20, 20]|camera.mm_per_px=0.5": "less tilt, more distance_mm or a smaller picture",

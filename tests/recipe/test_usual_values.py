@@ -61,9 +61,8 @@ def test_every_law_has_a_modulus(law: dict[str, object], key: str) -> None:
 
 
 def test_moduli_that_are_drawn_are_told_once(tmp_path: Path) -> None:
-    (tmp_path / "r.yaml").write_text(
-        f"extends: {QUICKSTART}\nname: r\nvary: {{method: grid, over: {{'{KEY}': {{choice: [0.3, 200, 150]}}}}}}\n"
-    )
+    vary = f"{{method: grid, over: {{'{KEY}': {{choice: [0.3, 200, 150]}}}}}}"
+    (tmp_path / "r.yaml").write_text(f"extends: {QUICKSTART}\nname: r\nvary: {vary}\n")
     (line,) = plan.load(tmp_path / "r.yaml").warnings
     assert line.startswith(f"{tmp_path}/r.yaml:3:")
     assert "scene-00001: sensor.gel.layers[0].youngs_modulus_mpa: a Young's modulus of 200 MPa" in line

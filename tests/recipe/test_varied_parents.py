@@ -76,10 +76,8 @@ def test_a_scene_with_a_varied_parent_of_an_override_can_be_made_again(tmp_path:
 
 
 def test_values_of_the_sensor_reach_both_fingers(tmp_path: Path):
-    text = (
-        f"extends: {assets.recipe_path('grasp')}\ngrasp: {{right: digit}}\nvary:\n  samples: 2\n  over:\n    {STIFF}\n"
-    )
-    (tmp_path / "grasp.yaml").write_text(text)
+    vary = f"vary:\n  samples: 2\n  over:\n    {STIFF}\n"
+    (tmp_path / "grasp.yaml").write_text(f"extends: {assets.recipe_path('grasp')}\ngrasp: {{right: digit}}\n{vary}")
     for row in plan.load(tmp_path / "grasp.yaml", ["outputs=[force]"]).rows:
         for finger in row.bundles:
             modulus = finger.sensor.gel.layers[0].youngs_modulus_mpa

@@ -164,13 +164,8 @@ def test_a_source_without_lines_is_named_only():
 def test_values_are_replaced_in_place_and_comments_stay(tmp_path: Path):
     path = tmp_path / "a.yaml"
     path.write_text("# top\nleds:\n  - name: red  # one\n    size: [1, 2]\n    source: x\n    old: 3\n# end\n")
-    changes = {
-        ("leds", 0, "size"): [0.5, 4],
-        ("leds", 0, "old"): None,
-        ("leds", 0, "new"): 1.5,
-        ("rows",): [[1, 2], [3]],
-    }
-    text = edited(path, changes)
+    led = {("leds", 0, "size"): [0.5, 4], ("leds", 0, "old"): None, ("leds", 0, "new"): 1.5}
+    text = edited(path, led | {("rows",): [[1, 2], [3]]})
     assert text.startswith("# top\nleds:\n  - name: red  # one\n    size: [0.5, 4]\n    new: 1.5\n    source: x\n")
     path.write_text(text)
     assert load(path).data["rows"] == [[1, 2], [3]]

@@ -1,6 +1,6 @@
 """A source made by hand: a ball over the gel of one finger, whose body moves through the world."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -69,9 +69,6 @@ class Made:
 
     def __len__(self) -> int:
         return len(self.each)
-
-    def episodes(self) -> Iterator[EpisodeLog]:
-        return map(self.episode, range(len(self)))
 
     def episode(self, number: int) -> EpisodeLog:
         one = self.each[number]

@@ -30,9 +30,8 @@ def test_poses_and_forces_are_those_of_the_simulation(recorded: EpisodeLog) -> N
     assert (source.fps, list(source.things)) == (30.0, ["box", "key", "gear", "bottle", "nut"])
     for number, thing in enumerate(("box", "key")):
         episode, grasp = source.episode(number), made[number]
-        np.testing.assert_allclose(
-            episode.bodies[thing][:, :3, 3], 1000 * grasp.qpos[:, 7 * number :][:, :3], atol=1e-6
-        )
+        place = 1000 * grasp.qpos[:, 7 * number : 7 * number + 3]
+        np.testing.assert_allclose(episode.bodies[thing][:, :3, 3], place, atol=1e-6)
         pads = np.hstack([episode.forces[pad, thing] for pad in touch_episodes.PADS])
         np.testing.assert_allclose(pads, grasp.forces, rtol=0, atol=0.01)
         assert not np.any([episode.forces[pad, "nut"] for pad in touch_episodes.PADS])

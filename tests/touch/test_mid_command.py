@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 from tacgen.cli.main import app
 from tacgen.touch import copies, into_rerun, sources
-from tacgen.touch.episode import EpisodeLog, Episodes, Touch
 from touch.made_source import COARSE, MOUNT, Made, ball, episode, over
 
 GAPS = [60.0, 9.0, 0.6, -0.2, -0.4, 0.5, 12.0]
@@ -27,19 +26,8 @@ def written(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     force[3:5, 2] = -2.0
     source = Made([episode({"ball": over(GAPS)}, forces=force), "episode 1: joints jump"], [ball("ball", 0.02)])
     found: list[Any] = []
-
-    def write(
-        source: Episodes,
-        episodes: Sequence[EpisodeLog],
-        touches: Sequence[Sequence[Touch]],
-        out: Path,
-        *,
-        overwrite: bool,
-    ) -> list[Path]:
-        found.append((out, episodes, touches))
-        return [out]
-
     monkeypatch.setattr(sources, "open_source", lambda *given: source)
+    write = lambda source, episodes, touches, out, **how: found.append((out, episodes, touches)) or [out]  # noqa: E731
     monkeypatch.setattr(copies, "write", write)
     monkeypatch.setattr(copies, "refuse", lambda *given, **how: None)
     return found

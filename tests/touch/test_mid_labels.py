@@ -13,6 +13,7 @@ from tacgen.touch.intervals import Rate
 from tacgen.touch.scenes import TouchChoice, TouchScenes
 from touch.made_source import COARSE, FINGER, Made, ball, episode, over
 
+Labelled = tuple[TouchScenes, list[SceneResult], list[list[Touch]]]
 GAPS = [60.0, 9.0, 0.6, -0.2, -0.4, -0.4, 0.5, 12.0, 40.0, 40.0]
 SHIFT = [0.0, 0.0, 0.0, 0.0, 0.0, 1.5, 1.5, 0.0, 0.0, 0.0]  # in the last row of contact it has slid
 
@@ -25,7 +26,7 @@ def solved(source: Made, folder: Path, asked: TouchChoice) -> tuple[TouchScenes,
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[TouchScenes, list[SceneResult], list[list[Touch]]]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> Labelled:
     force = np.zeros((len(GAPS), 3))
     force[3:6, 2] = -3.0
     force[8, 2] = -1.0
@@ -37,9 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[TouchScenes, list[Sc
     return prepared, results, labels.felt(prepared, results)
 
 
-def test_labels_stand_at_the_rows_of_the_episode(
-    made: tuple[TouchScenes, list[SceneResult], list[list[Touch]]],
-) -> None:
+def test_labels_stand_at_the_rows_of_the_episode(made: Labelled) -> None:
     prepared, results, (first, _) = made
     (touch,) = first
     assert prepared.notes == ("episode 1: rows are missing",)
@@ -56,9 +55,7 @@ def test_labels_stand_at_the_rows_of_the_episode(
     assert [result.frames for result in results] == [scenes.UNTOUCHED_FRAMES, 15]
 
 
-def test_pictures_and_markers_are_untouched_in_between(
-    made: tuple[TouchScenes, list[SceneResult], list[list[Touch]]],
-) -> None:
+def test_pictures_and_markers_are_untouched_in_between(made: Labelled) -> None:
     _, results, ((touch,), (free,)) = made
     still, contact = results[0].bundles[0], results[1].bundles[0]
     assert (touch.image(8) == still.frame("/frames/rgb", 8 % scenes.UNTOUCHED_FRAMES)).all()
@@ -70,7 +67,7 @@ def test_pictures_and_markers_are_untouched_in_between(
     assert not free.force.any()
 
 
-def test_forces_beside_the_engines(made: tuple[TouchScenes, list[SceneResult], list[list[Touch]]]) -> None:
+def test_forces_beside_the_engines(made: Labelled) -> None:
     prepared, _, touches = made
     (one,) = plan_text.engine_table(prepared.episodes, touches)
     normal = -touches[0][0].force[3:6, 2]
@@ -79,9 +76,7 @@ def test_forces_beside_the_engines(made: tuple[TouchScenes, list[SceneResult], l
     assert "engine / tacgen" in plan_text.engine_lines([one])[1]
 
 
-def test_an_object_is_lifted_where_fingers_bear_it(
-    made: tuple[TouchScenes, list[SceneResult], list[list[Touch]]],
-) -> None:
+def test_an_object_is_lifted_where_fingers_bear_it(made: Labelled) -> None:
     prepared, _, ((touch,), _) = made
     height = prepared.episodes[0].bodies["ball"][:, 2, 3]
     assert (touch.lifted <= touch.contact).all()
@@ -101,9 +96,7 @@ def test_frames_that_are_too_deep_are_said_and_those_before_are_solved(tmp_path:
     assert touch.image(2).any()
 
 
-def test_a_scene_that_ends_early_or_fails_is_said(
-    made: tuple[TouchScenes, list[SceneResult], list[list[Touch]]],
-) -> None:
+def test_a_scene_that_ends_early_or_fails_is_said(made: Labelled) -> None:
     from dataclasses import replace
 
     prepared, results, _ = made

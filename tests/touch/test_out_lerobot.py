@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import touched
 from helpers.needs import needs
 from helpers.touched import IMAGE, MARKERS, ROWS, RecordedEpisodes, both, digests, felt, lerobot_folder, recorded
 from PIL import Image
@@ -31,16 +32,20 @@ def source(tmp_path: Path, request: pytest.FixtureRequest) -> RecordedEpisodes:
     return recorded(lerobot_folder(tmp_path / "given", request.param))
 
 
-def written(
-    source: RecordedEpisodes, out: Path, touches: Any = None, **how: Any
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def written(source: RecordedEpisodes, out: Path, touches: Any = None, **how: Any) -> tuple[dict[str, Any], list[Any]]:
     """meta/info.json and all rows of the copy."""
-    touches = touches or both()
-    into_lerobot.write(source, source.held[: len(touches)], touches, out, **{"overwrite": False, **how})
-    files = sorted((out / "data").glob("*/*.parquet"))
-    return json.loads((out / "meta/info.json").read_text()), [
-        r for f in files for r in parquet.read_table(f).to_pylist()
-    ]
+    touched.written(into_lerobot, source, touches or both(), out, **how)
+    return json.loads((out / "meta/info.json").read_text()), rows_of(out)
+
+
+def rows_of(folder: Path, kind: str = "data") -> list[dict[str, Any]]:
+    """All rows of the tables of a data set."""
+    files = sorted((folder / kind).glob("*/*.parquet"))
+    return [row for file in files for row in parquet.read_table(file).to_pylist()]
+
+
+def stats_of(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "meta/stats.json").read_text())
 
 
 def test_every_row_has_the_values_of_both_fingers(source: RecordedEpisodes, tmp_path: Path) -> None:
@@ -61,9 +66,8 @@ def test_every_row_has_the_values_of_both_fingers(source: RecordedEpisodes, tmp_
                 "expected_error": touch.error[k], "correction": touch.correction[k], "engine_force": touch.engine[k],
             }  # fmt: skip
             for name, value in numbers.items():
-                assert np.array_equal(
-                    np.float32(row[prefix + name]), np.float32(value).ravel().squeeze(), equal_nan=True
-                )
+                wanted = np.float32(value).ravel().squeeze()
+                assert np.array_equal(np.float32(row[prefix + name]), wanted, equal_nan=True)
             marks = {"contact": touch.contact[k], "slip": touch.moved[k], "lifted": touch.lifted[k]}
             assert {name: row[prefix + name] for name in marks} == marks
             assert texts["object"][row[f"{prefix}object"]] == touch.touched[k]
@@ -78,32 +82,21 @@ def test_the_original_is_unchanged_and_all_of_it_is_in_the_copy(source: Recorded
     before, given = digests(source.path), source.path
     info, rows = written(source, tmp_path / "out")
     assert digests(given) == before
-    copied, anew = (
-        digests(tmp_path / "out"),
-        {"meta/info.json", "meta/stats.json", "meta/episodes/chunk-000/file-000.parquet"},
-    )
-    for name in before.keys() - anew:
-        assert name.startswith("data/") or copied[name] == before[name], name
-    files = sorted((given / "data").glob("*/*.parquet"))
-    old = [row for file in files for row in parquet.read_table(file).to_pylist()]
+    copied, anew = digests(tmp_path / "out"), ("data/", "meta/info.json", "meta/stats.json", "meta/episodes/")
+    assert [name for name in before if not name.startswith(anew) and copied[name] != before[name]] == []
+    old = rows_of(given)
     assert [{name: row[name] for name in old[0]} for row in rows] == old
     was = json.loads((given / "meta/info.json").read_text())
-    assert {name: value for name, value in info.items() if name != "features"} == {
-        name: value for name, value in was.items() if name != "features"
-    }
+    assert info | {"features": None} == was | {"features": None}
     assert {name: info["features"][name] for name in was["features"]} == was["features"]
-    episodes = parquet.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet").to_pylist()
-    for row, other in zip(
-        episodes, parquet.read_table(given / "meta/episodes/chunk-000/file-000.parquet").to_pylist(), strict=True
-    ):
+    for row, other in zip(rows_of(tmp_path / "out", "meta/episodes"), rows_of(given, "meta/episodes"), strict=True):
         assert {name: row[name] for name in other} == other
-    assert json.loads((tmp_path / "out/meta/stats.json").read_text())["action"]["std"] == [1.0] * 3
+    assert stats_of(tmp_path / "out")["action"]["std"] == [1.0] * 3
 
 
 def test_statistics_are_those_of_the_rows_and_colours(source: RecordedEpisodes, tmp_path: Path) -> None:
     written(source, tmp_path / "out")
-    stats = json.loads((tmp_path / "out/meta/stats.json").read_text())
-    episodes = parquet.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    stats, episodes = stats_of(tmp_path / "out"), rows_of(tmp_path / "out", "meta/episodes")
     lefts = [felt(index, "left") for index in range(2)]
     force = np.concatenate([touch.force for touch in lefts]).astype(np.float32).astype(float)
     engine = np.concatenate([touch.engine for touch in lefts])
@@ -129,23 +122,21 @@ def test_an_episode_without_touch_has_nan_and_says_so(source: RecordedEpisodes, 
     texts = info["features"][f"{PREFIX}note"]["info"]["texts"]
     assert {texts[row[f"{PREFIX}note"]] for row in rows[ROWS:]} == {LEFT_OUT_NOTE}
     assert all(np.isnan(row[f"{PREFIX}force"]).all() and not row[f"{PREFIX}contact"] for row in rows[ROWS:])
-    stats = json.loads((tmp_path / "out/meta/stats.json").read_text())
-    assert stats[f"{PREFIX}force"]["mean"] == pytest.approx(felt(0, "left").force.mean(0), rel=1e-6)
+    mean = felt(0, "left").force.mean(0)
+    assert stats_of(tmp_path / "out")[f"{PREFIX}force"]["mean"] == pytest.approx(mean, rel=1e-6)
 
 
 def test_a_picture_is_encoded_and_summed_up_once(
     source: RecordedEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made, counted = list[bytes](), list[int]()
-    png, sums = into_lerobot.encoded, into_lerobot._image_statistics
-    monkeypatch.setattr(
-        into_lerobot, "encoded", lambda image, *a, **k: made.append(image.tobytes()) or png(image, *a, **k)
-    )
-    monkeypatch.setattr(into_lerobot, "_image_statistics", lambda them: counted.append(len(them)) or sums(them))
+    for name, seen in (("encoded", lambda image: made.append(image.tobytes())),
+                       ("_image_statistics", lambda them: counted.append(len(them)))):  # fmt: skip
+        real = getattr(into_lerobot, name)
+        monkeypatch.setattr(into_lerobot, name, lambda x, *a, r=real, s=seen, **k: s(x) or r(x, *a, **k))
     (touches,) = both(1)
-    written(
-        source, tmp_path / "out", [[replace(touch, image=lambda k: touches[0].image(k).copy()) for touch in touches]]
-    )
+    alike = [replace(touch, image=lambda k: touches[0].image(k).copy()) for touch in touches]
+    written(source, tmp_path / "out", [alike])
     assert len(made) == len(set(made)) == 12  # ten with contact, the untouched sensor, and black for the other episode
     assert len(counted) == 2
 
@@ -155,7 +146,7 @@ def test_files_are_begun_anew_when_one_is_full(
 ) -> None:
     monkeypatch.setattr(into_lerobot, "PARQUET_FILE_BYTES", 1000)
     written(source, tmp_path / "out")
-    episodes = parquet.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    episodes = rows_of(tmp_path / "out", "meta/episodes")
     assert [row["data/file_index"] for row in episodes] == [0, 1]
     for row in episodes:
         path = tmp_path / f"out/data/chunk-000/file-{row['data/file_index']:03d}.parquet"
@@ -192,22 +183,17 @@ def test_what_does_not_fit_is_one_line_and_leaves_nothing(source: RecordedEpisod
         written(cut, tmp_path / "out", short)
     with pytest.raises(UserError, match="its fingers' pictures or markers are"):
         written(source, tmp_path / "out", [both()[0], both()[1][:1]])
-    info = json.loads((source.path / "meta/info.json").read_text())
-    (source.path / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v2.1"}))
-    with pytest.raises(UserError, match=r"format v2\.1, v3\.0 is needed"):
-        written(source, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["given"]
 
 
 KILL = """
 import os, signal
 from pathlib import Path
-from helpers.touched import both, recorded
+from helpers.touched import both, recorded, written
 from tacgen.touch import into_lerobot
 def killed(*_): os.kill(os.getpid(), signal.SIGKILL)
 into_lerobot.{place} = killed
-source = recorded(Path({given!r}))
-into_lerobot.write(source, source.held, both(), Path({out!r}), overwrite=True)
+written(into_lerobot, recorded(Path({given!r})), both(), Path({out!r}), overwrite=True)
 """
 
 

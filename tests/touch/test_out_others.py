@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from helpers.needs import needs
-from helpers.touched import IMAGE, ROWS, both, demonstrations, digests, felt, recorded
+from helpers.touched import IMAGE, ROWS, both, demonstrations, digests, felt, recorded, written
 from PIL import Image
 
 from tacgen.base.errors import UserError
@@ -19,7 +19,7 @@ from tacgen.touch.label_columns import file_name
 def test_demonstrations_get_touch_and_keep_all_else(tmp_path: Path) -> None:
     source = recorded(demonstrations(tmp_path / "given.hdf5"), "robomimic")
     before = digests(tmp_path)
-    into_robomimic.write(source, source.held, both(), tmp_path / "out.hdf5", overwrite=False)
+    written(into_robomimic, source, both(), tmp_path / "out.hdf5")
     assert digests(tmp_path)["given.hdf5"] == before["given.hdf5"]
     with h5py.File(tmp_path / "out.hdf5") as file, h5py.File(source.path) as given:
         for index in range(2):
@@ -50,27 +50,26 @@ def test_demonstrations_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
         file["data/demo_1/obs/longer"] = np.zeros(ROWS + 1)
         file["data/demo_2"] = h5py.ExternalLink("other.h5", "/data/demo_2")
     with pytest.raises(UserError, match="demo_1: obs/longer has 21 rows, touch has 20"):
-        into_robomimic.write(source, source.held, both(), out, overwrite=False)
+        written(into_robomimic, source, both(), out)
     for name in ("demo_9", "demo_2"):
-        other = replace(source.held[0], name=name)
+        other = replace(source, held=(replace(source.held[0], name=name),))
         with pytest.raises(UserError, match=f"has no demonstration {name}$"):
-            into_robomimic.write(source, [other], both(1), out, overwrite=False)
+            written(into_robomimic, other, both(1), out)
     assert [path.name for path in tmp_path.iterdir()] == ["given.hdf5"]
-    into_robomimic.write(source, source.held[:1], both(1), out, overwrite=False)
+    written(into_robomimic, source, both(1), out)
     with pytest.raises(UserError, match="--overwrite replaces it"):
-        into_robomimic.write(source, source.held[:1], both(1), out, overwrite=False)
-    again = replace(source, path=out)
+        written(into_robomimic, source, both(1), out)
     with pytest.raises(UserError, match="has /data/demo_0/obs/tactile_left_image already"):
-        into_robomimic.write(again, source.held[:1], both(1), tmp_path / "twice.hdf5", overwrite=False)
+        written(into_robomimic, replace(source, path=out), both(1), tmp_path / "twice.hdf5")
     (tmp_path / "text.hdf5").write_text("not HDF5")
     with pytest.raises(UserError, match="not an HDF5 file"):
-        into_robomimic.write(replace(source, path=tmp_path / "text.hdf5"), source.held, both(), out, overwrite=True)
+        written(into_robomimic, replace(source, path=tmp_path / "text.hdf5"), both(), out, overwrite=True)
 
 
 def test_rerun_shows_object_gripper_pictures_and_forces(tmp_path: Path) -> None:
     chunk = needs("rerun.chunk")
     source = recorded(tmp_path / "given")
-    (made, _) = into_rerun.write(source, source.held, both(), tmp_path / "out", overwrite=False)
+    (made, _) = written(into_rerun, source, both(), tmp_path / "out")
     assert made == tmp_path / "out/demo_0.rrd"
     found: dict[str, dict[str, list[Any]]] = {}
     for part in chunk.RrdReader(str(made)).stream().to_chunks():
@@ -87,16 +86,14 @@ def test_rerun_shows_object_gripper_pictures_and_forces(tmp_path: Path) -> None:
     assert np.ptp(corners, axis=0)[:2] == pytest.approx([10, 8], abs=0.05)
     assert "/world/finger_left" in found
     assert [text[0] for text in found["/note/left"]["TextLog:text"] if text] == [touch.note[7], "as asked"]
-    with pytest.raises(UserError, match="holds one episode, these are 2"):
-        into_rerun.write(source, source.held, both(), tmp_path / "one.rrd", overwrite=False)
     with pytest.raises(UserError, match="--overwrite replaces it"):
-        into_rerun.write(source, source.held, both(), tmp_path / "out", overwrite=False)
+        written(into_rerun, source, both(), tmp_path / "out")
 
 
 @pytest.mark.parametrize("kind", ["webp", "gif"])
 def test_a_film_shows_both_fingers_in_every_row(kind: str, tmp_path: Path) -> None:
     source = recorded(tmp_path / "given")
-    (made,) = film.write(source, source.held[:1], both(1), tmp_path / f"film.{kind}", overwrite=False)
+    (made,) = written(film, source, both(1), tmp_path / f"film.{kind}")
     with Image.open(made) as image:
         assert getattr(image, "n_frames", 1) == ROWS
         image.seek(3)
@@ -104,21 +101,16 @@ def test_a_film_shows_both_fingers_in_every_row(kind: str, tmp_path: Path) -> No
         image.seek(10)
         pressed = np.asarray(image.convert("RGB"), int)
     height, width = still.shape[:2]
-    left, right = (
-        np.s_[height // 4 : height // 2, side] for side in (np.s_[80 : width // 2 - 60], np.s_[width // 2 + 60 : -80])
-    )
-    for part in (left, right):
+    for side in (np.s_[80 : width // 2 - 60], np.s_[width // 2 + 60 : -80]):
+        part = np.s_[height // 4 : height // 2, side]
         assert np.median(still[part]) == pytest.approx(7, abs=3)  # the untouched sensor
         assert pressed[part].std() > 30
     assert IMAGE[0] / IMAGE[1] == pytest.approx(0.75)
 
 
-def test_a_film_of_several_episodes_needs_a_folder(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "given")
-    with pytest.raises(UserError, match="a film shows one episode, these are 2"):
-        film.write(source, source.held, both(), tmp_path / "film.webp", overwrite=False)
+def test_a_film_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"^\.avi: unknown kind of film"):
-        film.write(source, source.held[:1], both(1), tmp_path / "film.avi", overwrite=False)
+        written(film, recorded(tmp_path / "given"), both(1), tmp_path / "film.avi")
 
 
 def test_the_name_of_the_output_says_what_is_written(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.needs import needs
-from helpers.touched import FPS, IMAGE, ROWS, both, felt, lerobot_folder, recorded
+from helpers.touched import FPS, IMAGE, ROWS, both, felt, lerobot_folder, recorded, written
 from PIL import Image
 
 from tacgen.touch import into_lerobot
@@ -21,7 +21,7 @@ CHUNK = 4  # actions that the policy predicts
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lerobot")
     source = recorded(lerobot_folder(folder / "given"))
-    into_lerobot.write(source, source.held, both(), folder / "out", overwrite=False)
+    written(into_lerobot, source, both(), folder / "out")
     return folder / "out"
 
 
