@@ -10,6 +10,8 @@ from tacgen.report.sheet import duration
 from tacgen.report.terminal_bar import TerminalBar
 
 COMPILING = "compiling: half a minute, once for this version on this machine"
+HOLD_UPS = {"compiling": COMPILING}  # events that hold up the next frame and happen once, and what is said of them
+HOLD_UPS["tracing"] = "tracing light through the gel: seconds to minutes, once for this sensor and quality"
 
 
 class Progress(TerminalBar):
@@ -47,12 +49,11 @@ class Progress(TerminalBar):
                 self.ahead.add(name)
             self.under_way[name] = event["frame"]
             self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
-        elif event["event"] == "compiling":
-            self._measure_again()
-            self._say_once(COMPILING)
-        elif event["event"] == "tracing":
-            self._measure_again()
-            self._say_once("tracing light through the gel: seconds to minutes, once for this sensor and quality")
+        elif event["event"] in HOLD_UPS:
+            # the time left is estimated from later frames alone
+            self.ahead, self.measured = set(), False
+            self.unmeasured = self.done + sum(self.under_way.values())
+            self._say_once(HOLD_UPS[event["event"]])
         elif event["event"] == "note":
             self._say_once(f"note: {event['note']}", name)
         elif event["event"] == "retry":
@@ -70,11 +71,6 @@ class Progress(TerminalBar):
             state = "kept" if before and good else f"kept, {event['status']}" if before else event["status"]
             text = f"{name}: {state}" + (f": {event['reason']}" if event["reason"] else "")
             self._say(text, lasting=not good)
-
-    def _measure_again(self) -> None:
-        """Estimate the time left from later frames alone: what holds up the next one happens once."""
-        self.ahead, self.measured = set(), False
-        self.unmeasured = self.done + sum(self.under_way.values())
 
     def _say_once(self, text: str, scene: str = "") -> None:
         """Print a line that holds for all scenes of a run only once."""
