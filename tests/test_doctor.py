@@ -7,10 +7,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from typer.testing import CliRunner
+from helpers.command import tacgen_, told
 
 from tacgen.cli import doctor
-from tacgen.cli import main as cli
 
 
 @pytest.fixture(autouse=True)
@@ -29,9 +28,7 @@ def test_everything_works_on_this_machine():
     assert found["rendering"].note == "uses scalar_rgb"
     assert not found["llvm_ad_rgb"].ok
     assert found["HDF5"].ok
-    done = CliRunner().invoke(cli.app, ["doctor"])
-    assert done.exit_code == 0, done.output
-    assert "ok  HDF5" in done.stdout
+    assert "ok  HDF5" in told("doctor")
 
 
 def test_every_package_that_is_installed_with_tacgen_is_looked_for():
@@ -52,15 +49,11 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("tacgen.render.images.variants", gone)
     monkeypatch.setattr(doctor, "NEEDED_PACKAGES", ("numpy", "no-such-package"))
-    done = CliRunner().invoke(cli.app, ["doctor", "--json"])
+    done = tacgen_("doctor", "--json")
     assert done.exit_code == 1
     found = {f["name"]: f for f in json.loads(done.stdout)}
-    assert found["rendering"] == {
-        "name": "rendering",
-        "ok": False,
-        "note": "ImportError: no module named mitsuba",
-        "needed": True,
-    }
+    said = "ImportError: no module named mitsuba"
+    assert found["rendering"] == {"name": "rendering", "ok": False, "note": said, "needed": True}
     assert not found["no-such-package"]["ok"]
     assert found["numpy"]["ok"]
 
@@ -68,7 +61,7 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
 def test_it_prepares_what_first_runs_need_if_asked(monkeypatch: pytest.MonkeyPatch):
     done = [("gelsight_mini", True, "3 s, 2 s of them compiling"), ("digit", False, "frame 1 of 1: stalled")]
     monkeypatch.setattr("tacgen.batch.warm.warm", lambda: iter(done))
-    assert "digit" not in CliRunner().invoke(cli.app, ["doctor"]).stdout
-    told = CliRunner().invoke(cli.app, ["doctor", "--warm"])
-    assert told.exit_code == 1
-    assert "ok  gelsight_mini        3 s, 2 s of them compiling\nBAD digit " in told.stdout
+    assert "digit" not in told("doctor")
+    warmed = tacgen_("doctor", "--warm")
+    assert warmed.exit_code == 1
+    assert "ok  gelsight_mini        3 s, 2 s of them compiling\nBAD digit " in warmed.stdout
