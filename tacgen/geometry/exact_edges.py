@@ -8,6 +8,7 @@ may be closest to its points, so that a distance takes a few triangles.
 
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -101,7 +102,7 @@ def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tu
 
 def sharpened(field: Field, known: tuple[Array, ...], radius: float, body: Array) -> Field:
     """The field with the edges of these lists and radius [mm]; itself if there are none. body (t,): of triangles."""
-    named = dict(zip(("share", "first", "start", "near", "away", "triangles"), known, strict=True))
+    named: dict[str, Any] = dict(zip(("share", "first", "start", "near", "away", "triangles"), known, strict=True))
     if not named["share"].size:
         return field
     own = {part.name: getattr(field, part.name) for part in fields(field)}

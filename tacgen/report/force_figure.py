@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def _curves(axes: "Axes", x: Array, ours: Array, std: Array, theirs: Array | Non
     """Our force with its 90 % interval, and theirs."""
     _interval(axes, x, ours, std)
     labels = ("tacgen, 90 % interval", "simulator") if named else (None, None)
-    thin = {"markersize": 3, "linewidth": 1}
+    thin: dict[str, Any] = {"markersize": 3, "linewidth": 1}
     axes.plot(x, ours, ".-", color=OUR_COLOUR, label=labels[0], **thin)
     if theirs is not None:
         axes.plot(x, theirs, ".--", color=THEIR_COLOUR, label=labels[1], **thin)

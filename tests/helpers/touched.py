@@ -85,24 +85,16 @@ def lerobot_folder(folder: Path, together: bool = True) -> Path:
     from tacgen.bundle.image_file import encoded
 
     vector = {"dtype": "float32", "shape": [3], "names": ["x", "y", "z"]}
-    features: dict[str, Any] = {"observation.state": vector, "action": vector}
-    features["observation.images.front"] = {
-        "dtype": "image",
-        "shape": [8, 8, 3],
-        "names": ["height", "width", "channels"],
-    }
+    picture = {"dtype": "image", "shape": [8, 8, 3], "names": ["height", "width", "channels"]}
+    features: dict[str, Any] = {"observation.state": vector, "action": vector, "observation.images.front": picture}
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    features |= {
-        n: {"dtype": "int64", "shape": [1], "names": None}
-        for n in ("frame_index", "episode_index", "index", "task_index")
-    }
+    for name in ("frame_index", "episode_index", "index", "task_index"):
+        features[name] = {"dtype": "int64", "shape": [1], "names": None}
     tables, rows = [], []
     for index in range(2):
         draw = np.random.default_rng(index)
-        png = [
-            {"bytes": encoded(draw.integers(0, 256, (8, 8, 3)).astype(np.uint8), "PNG"), "path": None}
-            for _ in range(ROWS)
-        ]
+        pictures = (draw.integers(0, 256, (8, 8, 3)).astype(np.uint8) for _ in range(ROWS))
+        png = [{"bytes": encoded(each, "PNG"), "path": None} for each in pictures]
         columns = {
             name: pa.FixedSizeListArray.from_arrays(pa.array(draw.normal(size=3 * ROWS).astype(np.float32)), 3)
             for name in ("observation.state", "action")
