@@ -47,7 +47,7 @@ HOMES = {
     "pytetwild": {"mechanics.ftetwild"},
     "platformdirs": {"base.array_cache"},
     "threadpoolctl": {"batch.pipeline", "render.pictures", "mechanics.blas_kernels"},
-    "rich": {"report.terminal_bar"},
+    "rich": {"report.progress"},
     "PIL": {"render.photograph", "bundle.image_file", "render.jpeg"},
     "distributed": {"batch.dask_engine"},
     "pyarrow": {"export.lerobot", "touch.into_lerobot", "touch.lerobot_data"},

@@ -2,6 +2,8 @@
 
 from tacgen.outputs.base import Datasets, Output, SceneData, seen
 
+PLACE = "in the sensor frame of the untouched face behind each sample"
+
 
 def _reference(scene: SceneData) -> Datasets:
     places = scene.outer.places()
@@ -10,12 +12,7 @@ def _reference(scene: SceneData) -> Datasets:
 
 OUTPUT = Output(
     "with every map: where its samples lie on the untouched face",
-    {
-        f"/reference/{axis}_mm": seen(
-            "h w", "mm", f"{axis} in the sensor frame of the untouched face behind each sample", -12
-        )
-        for axis in "xy"
-    },
+    {f"/reference/{axis}_mm": seen("h w", "mm", f"{axis} {PLACE}", -12) for axis in "xy"},
     lambda frame: {},
     _reference,
 )
