@@ -1,11 +1,9 @@
 """The pages say what the program does: commands and options exist, recipes validate, links lead somewhere."""
 
 import ast
-import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -17,9 +15,10 @@ import click
 import pytest
 import trimesh
 import typer
+from helpers.command import told
 from helpers.needs import needs
+from helpers.program import ran
 from helpers.synthetic import attributes, write
-from typer.testing import CliRunner
 
 from tacgen import export
 from tacgen.bundle import bundle
@@ -194,28 +193,17 @@ def test_every_page_is_in_the_navigation() -> None:
 )
 def test_the_table_of_sensor_parts_names_every_key(part: str, kind: type[Part]) -> None:
     page = (DOCS / "cookbook/own_sensor.md").read_text()
-    must, _, may = (
-        next(line for line in page.splitlines() if line.startswith(f"| {part} |")).split("|")[2].partition("(")
-    )
+    (line,) = (line for line in page.splitlines() if line.startswith(f"| {part} |"))
+    must, _, may = line.split("|")[2].partition("(")
     needed = {name for name, field in kind.model_fields.items() if field.is_required()}
     assert set(re.findall(r"`(\w+)`", must)) == needed
     assert set(re.findall(r"`(\w+)`", may)) == kind.model_fields.keys() - needed - {"source"}
 
 
-def test_the_command_page_is_the_command_line() -> None:
-    made = subprocess.run(
-        [sys.executable, ROOT / "scripts/command_page.py"], capture_output=True, text=True, check=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "50"},
-    )  # fmt: skip
-    assert (DOCS / "COMMANDS.md").read_text() == made.stdout, "run scripts/command_page.py > docs/COMMANDS.md"
-
-
-def test_the_sensor_page_is_the_models() -> None:
-    made = subprocess.run(
-        [sys.executable, ROOT / "scripts/sensor_page.py"], capture_output=True, text=True, check=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert (DOCS / "SENSOR.md").read_text() == made.stdout, "run scripts/sensor_page.py > docs/SENSOR.md"
+@pytest.mark.parametrize(("script", "page"), [("command_page", "COMMANDS.md"), ("sensor_page", "SENSOR.md")])
+def test_pages_of_the_command_line_and_of_the_models_are_theirs(script: str, page: str) -> None:
+    made = ran(ROOT / f"scripts/{script}.py", COLUMNS="50")
+    assert (DOCS / page).read_text() == made, f"run scripts/{script}.py > docs/{page}"
 
 
 def test_the_recipe_page_names_every_key_movement_and_quality() -> None:
@@ -250,9 +238,7 @@ def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path:
     write(folder / "scene-00000.h5")
     punch = attributes()["recipe"] | {"indenter": {"shape": "cylinder", "radius_mm": 3.0}}
     write(folder / "scene-00001.h5", stop=3, recipe=punch)
-    program = [sys.executable, ROOT / "scripts/gallery.py", folder.parent, "-o", tmp_path]
-    done = subprocess.run(program, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
-    assert done.returncode == 0, done.stderr
+    ran(ROOT / "scripts/gallery.py", folder.parent, "-o", tmp_path)
     page = (tmp_path / "gallery.md").read_text()
     assert "- cylinder, press, slide, hold, twist: frame 3 of 12: Newton's method stalled\n" in page
     for kind in ("press", "slide", "hold", "twist"):
@@ -284,8 +270,7 @@ def test_a_format_is_a_module_and_a_line(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setitem(export.EXPORTERS, "names", "names of scenes")
     monkeypatch.setitem(sys.modules, "tacgen.export.names", SimpleNamespace(write=written))
     scene = write(tmp_path / "scene-00000.h5")
-    done = CliRunner().invoke(app, ["export", "names", str(scene), "-o", str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
+    told("export", "names", scene, "-o", tmp_path / "out")
     assert (tmp_path / "out" / "names.txt").read_text() == "scene-00000"
 
 
@@ -295,7 +280,7 @@ def test_the_readme_is_short() -> None:
 
 def run_page(page: Path, folder: Path, quality: str) -> int:
     """Write a page's files and run its commands and its Python in order, in an empty folder; how many ran."""
-    environment, ran = os.environ | {"PYTHONPATH": str(ROOT)}, 0
+    count = 0
     for block in blocks(page):
         if block.title:
             (folder / block.title).write_text(block.text)
@@ -305,11 +290,9 @@ def run_page(page: Path, folder: Path, quality: str) -> int:
         for line in lines:
             if line[2:3] == ["run"]:
                 line += ["--set", f"quality={quality}"]
-            command = [sys.executable, *line]
-            done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
-            assert done.returncode == 0, f"{' '.join(line)}\n{done.stdout}{done.stderr}"
-            ran += 1
-    return ran
+            ran(*line, folder=folder)
+            count += 1
+    return count
 
 
 @pytest.mark.slow
@@ -328,11 +311,7 @@ def test_a_page_of_the_cookbook_runs(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_site_is_built_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
     needs("mkdocs")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    )
-    assert done.returncode == 0, done.stderr
+    ran("-m", "mkdocs", "build", "--strict", "--site-dir", tmp_path, folder=ROOT, NO_MKDOCS_2_WARNING="1")
     pages = sorted(tmp_path.rglob("*.html"))
     assert len(pages) > 15
     assert "var __index = " in (tmp_path / "search" / "search_index.js").read_text()[:20], "search needs no server"

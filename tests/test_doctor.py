@@ -8,10 +8,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from typer.testing import CliRunner
+from helpers.command import tacgen_, told
 
 from tacgen.cli import doctor
-from tacgen.cli import main as cli
 from tacgen.recipe.row import Row
 
 
@@ -31,9 +30,7 @@ def test_everything_works_on_this_machine():
     assert found["rendering"].note == "uses scalar_rgb"
     assert not found["llvm_ad_rgb"].ok
     assert found["HDF5"].ok
-    done = CliRunner().invoke(cli.app, ["doctor"])
-    assert done.exit_code == 0, done.output
-    assert "ok  HDF5" in done.stdout
+    assert "ok  HDF5" in told("doctor")
 
 
 def test_every_package_that_is_installed_with_tacgen_is_looked_for():
@@ -54,11 +51,11 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("tacgen.render.images.variants", gone)
     monkeypatch.setattr(doctor, "NEEDED_PACKAGES", ("numpy", "no-such-package"))
-    done = CliRunner().invoke(cli.app, ["doctor", "--json"])
+    done = tacgen_("doctor", "--json")
     assert done.exit_code == 1
     found = {f["name"]: f for f in json.loads(done.stdout)}
-    note = "ImportError: no module named mitsuba"
-    assert found["rendering"] == {"name": "rendering", "ok": False, "note": note, "needed": True}
+    said = "ImportError: no module named mitsuba"
+    assert found["rendering"] == {"name": "rendering", "ok": False, "note": said, "needed": True}
     assert not found["no-such-package"]["ok"]
     assert found["numpy"]["ok"]
 
@@ -75,10 +72,10 @@ def test_it_prepares_what_first_runs_need_if_asked(monkeypatch: pytest.MonkeyPat
     outputs = dict[str, frozenset[str]]()
     monkeypatch.setattr("tacgen.batch.local.Pool", lambda count: nullcontext(SimpleNamespace(run=run)))
     monkeypatch.setattr("tacgen.recipe.assets.list_sensors", lambda: ["gelsight_mini", "digit", "nobody"])
-    assert "digit" not in CliRunner().invoke(cli.app, ["doctor"]).stdout
-    told = CliRunner().invoke(cli.app, ["doctor", "--warm"])
-    assert told.exit_code == 1
-    assert "ok  gelsight_mini        3 s, 2 s of them compiling\nBAD digit                frame 1" in told.stdout
-    assert "BAD nobody " in told.stdout
+    assert "digit" not in told("doctor")
+    warmed = tacgen_("doctor", "--warm")
+    assert warmed.exit_code == 1
+    assert "ok  gelsight_mini        3 s, 2 s of them compiling\nBAD digit                frame 1" in warmed.stdout
+    assert "BAD nobody " in warmed.stdout
     assert outputs["gelsight_mini"] - outputs["digit"] == {"markers"}
     assert outputs["digit"] >= {"force_map", "rgb", "stress"}

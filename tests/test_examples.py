@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -10,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from helpers.needs import needs
-from helpers.program import loaded
+from helpers.program import loaded, ran
 from helpers.small_recipe import PICTURE
 
 from tacgen.batch import pipeline
@@ -48,11 +47,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_script_writes_weights_scores_plot_and_table(folder: Path, tmp_path: Path) -> None:
-    command = [sys.executable, SCRIPT, folder, "-o", tmp_path, "--seeds", "2", "--epochs", "1", "--workers", "1"]
-    done = subprocess.run(
-        command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    )
-    assert done.returncode == 0, done.stderr
+    options = ("--seeds", 2, "--epochs", 1, "--workers", 1)
+    ran(SCRIPT, folder, "-o", tmp_path, *options, PYTHONPATH=os.pathsep.join(sys.path))
     found = json.loads((tmp_path / "results.json").read_text())
     assert [one["test"] for one in found] == ["scenes"] * 2 + ["indenter"] * 3
     left_out = [one["held_back"] for one in found[2:]]

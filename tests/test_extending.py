@@ -3,17 +3,15 @@
 Each is really added to a copy of the package, by the edits that the page describes, and used there.
 """
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 from filecmp import cmp
 from pathlib import Path
 from typing import NamedTuple
 
 import h5py
 import pytest
+from helpers.program import ran
 from helpers.small_recipe import HEAD, PRESS
 
 ROOT = Path(__file__).parents[1]
@@ -235,12 +233,7 @@ def extended(folder: Path, *names: str) -> int:
 def tacgen(folder: Path, *args: str) -> str:
     """The output of the copy's command."""
     (folder / "toy.yaml").write_text(f"{HEAD}  [{PRESS}]\n")
-    known = os.environ | {"PYTHONPATH": str(folder)}
-    done = subprocess.run(
-        [sys.executable, "-m", "tacgen", *args], cwd=folder, env=known, capture_output=True, text=True, timeout=500
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return ran("-m", "tacgen", *args, folder=folder, tacgen=folder)
 
 
 LONG = ("output", "law", "sensor")  # each a copy of the package in processes of its own
@@ -251,9 +244,8 @@ def test_a_new_thing_touches_as_few_files_as_the_page_says(tmp_path: Path, name:
     toy = TOYS[name]
     assert extended(tmp_path, name) == toy.files
     page = (ROOT / "docs/EXTENDING.md").read_text().split("\n## ")
-    (part,) = (
-        p for p in page if p.startswith(("An output", "A shape", "A material law", "A sensor")) and name in p[:20]
-    )
+    begins = ("An output", "A shape", "A material law", "A sensor")
+    (part,) = (each for each in page if each.startswith(begins) and name in each[:20])
     told = set(re.findall(r"(?m)^\| `(tacgen/[^`]+)`", part))
     files = {re.sub("lowest", "<name>", edit.file) for edit in toy.edits if edit.file.startswith("tacgen/")}
     assert told == files
@@ -280,9 +272,4 @@ def test_new_things_work_together(tmp_path: Path) -> None:
 def test_a_new_formula_runs_on_a_core_and_compiles_for_a_gpu(tmp_path: Path, name: str, program: str) -> None:
     """For sm_90, the H100's, by a machine that has no GPU: a law's forces and tangents, a shape's distances."""
     extended(tmp_path, name)
-    known = os.environ | {"PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert int(done.stdout.split()[-1]) > 10_000
+    assert int(ran("-c", program, folder=tmp_path, tacgen=tmp_path).split()[-1]) > 10_000

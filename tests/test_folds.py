@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.command import told
 from helpers.small_recipe import BALL, HEAD
-from typer.testing import CliRunner
 
 import tacgen
 from tacgen import mechanics
@@ -17,7 +17,6 @@ from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import FOLDED_NOTE, check
-from tacgen.cli import main as cli
 from tacgen.recipe import plan
 from tacgen.report import dataset_card, dataset_summary
 
@@ -81,19 +80,17 @@ def test_kept_frames_are_marked_from_the_fold_on(tmp_path: Path) -> None:
 def test_the_card_counts_folds(tmp_path: Path) -> None:
     (tmp_path / "recipe.yaml").write_text(PRESS)
     by_kind = "in 2 of 3 frames (`/frames/quality/unique`): sphere 2 of 3; press 2 of 3"
-    for folds, told in (("keep", by_kind), ("end", "ended before the gel folds: 1 frames are here")):
+    for folds, says in (("keep", by_kind), ("end", "ended before the gel folds: 1 frames are here")):
         out = tmp_path / folds
         pipeline.run(plan.load(tmp_path / "recipe.yaml", (f"folds={folds}",)).rows, out)
-        assert told in dataset_card.text(dataset_summary.look(out))
+        assert says in dataset_card.text(dataset_summary.look(out))
 
 
 @pytest.mark.usefixtures("folding")
 def test_the_last_line_of_a_run_counts_folds(tmp_path: Path) -> None:
     (tmp_path / "recipe.yaml").write_text(PRESS)
     pipeline.run(plan.load(tmp_path / "recipe.yaml").rows, tmp_path / "out")
-    told = CliRunner().invoke(cli.app, ["run", str(tmp_path / "recipe.yaml"), "-o", str(tmp_path / "out")])
-    assert told.exit_code == 0, told.output
-    said = " ".join(told.output.split())
+    said = " ".join(told("run", tmp_path / "recipe.yaml", "-o", tmp_path / "out").split())
     assert "1 scene kept, 0 rejected; 2 of 3 frames after a fold of the gel, where forces are not unique" in said
 
 

@@ -1,7 +1,6 @@
 """The house rules that a reader relies on: who may import whom, what starts cold, how long a file may be."""
 
 import ast
-import subprocess
 import sys
 from collections import Counter
 from functools import cache
@@ -9,6 +8,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from helpers.program import ran
 
 from tacgen.outputs import OUTPUTS
 
@@ -17,29 +17,9 @@ PACKAGE = ROOT / "tacgen"
 
 # A package or a module of the top level imports only from those above it.
 LAYERS = [
-    "base",
-    "physics",
-    "fem",
-    "geometry",
-    "sensor",
-    "optics",
-    "mechanics",
-    "tensor_engine",
-    "tensor_optics",
-    "render",
-    "outputs",
-    "recipe",
-    "bundle",
-    "export",
-    "report",
-    "torch",
-    "batch",
-    "api",
-    "calibrate",
-    "replay",
-    "touch",
-    "cli",
-    "__main__",
+    *("base", "physics", "fem", "geometry", "sensor", "optics", "mechanics", "tensor_engine", "tensor_optics"),
+    *("render", "outputs", "recipe", "bundle", "export", "report", "torch", "batch", "api", "calibrate", "replay"),
+    *("touch", "cli", "__main__"),
 ]
 # Numerics that know no recipe and no scene, in type hints either, and what they may import. Optics names the classes
 # of a sensor file in hints alone: it runs on anything that holds the same numbers.
@@ -67,7 +47,7 @@ HOMES = {
     "pytetwild": {"mechanics.ftetwild"},
     "platformdirs": {"base.array_cache"},
     "threadpoolctl": {"batch.pipeline", "render.pictures", "mechanics.blas_kernels"},
-    "rich": {"report.terminal_bar"},
+    "rich": {"report.progress"},
     "PIL": {"render.photograph", "bundle.image_file", "render.jpeg"},
     "distributed": {"batch.dask_engine"},
     "pyarrow": {"export.lerobot", "touch.into_lerobot", "touch.lerobot_data"},
@@ -123,9 +103,8 @@ REPLACE = {
 # Who reads other than through `regular_file`, which refuses pipes and devices, and notes what is an input.
 READERS = {
     "base.output_file": {"open"},  # what it has just written
-    **{
-        name: {"np.load"} for name in ("base.array_cache", "mechanics.ftetwild", "replay.array_log")
-    },  # from memory, or an open file
+    # from memory, or an open file
+    **{name: {"np.load"} for name in ("base.array_cache", "mechanics.ftetwild", "replay.array_log")},
     **{name: {"Image.open"} for name in ("render.photograph", "render.jpeg")},
     "batch.solution_file": {"np.load"},  # of this run
     "touch.umi": {"open"},  # by Zarr, which takes a path
@@ -143,18 +122,9 @@ PROTOCOL = {"OUTPUT"}  # constants that every module of a folder has, as docs/EX
 LINES_BESIDE = 5930  # of benchmarks/ and scripts/ together, without the referee
 LINES_OF_REFEREE, LINES_OF_PLAYER = 1000, 80  # of the referee without its players, and of each player
 NOT_NUMPY = {
-    *(
-        "cli.main",
-        "cli.calibrate",
-        "cli.common",
-        "cli.look",
-        "cli.replay",
-        "cli.sensor",
-        "cli.touch",
-        "base.errors",
-        "sensor.base_model",
-    ),
-    *("sensor.imperfections", "recipe.model", "sensor.layers", "sensor.model", "recipe.assets", "recipe.plan"),
+    *(f"cli.{name}" for name in ("main", "calibrate", "common", "look", "replay", "sensor", "touch")),
+    *(f"sensor.{name}" for name in ("base_model", "imperfections", "layers", "model", "optics_checks")),
+    *("sensor.validation_messages", "sensor.yaml_source", "recipe.model", "recipe.assets", "recipe.plan"),
     *("recipe.row", "recipe.sampling", "recipe.sensor_base", "recipe.sensor_checks", "recipe.usual_sizes"),
     *("recipe.loading", "sensor.optics_checks", "recipe.checks", "recipe.grasp_checks"),
     *("sensor.validation_messages", "sensor.yaml_source", "recipe.trajectory", "recipe.indenters"),
@@ -305,32 +275,25 @@ def test_the_referee_is_small_and_a_player_smaller() -> None:
     assert {path.name: lines[path] for path in players if lines[path] > LINES_OF_PLAYER} == {}
 
 
-def loaded_by(code: str) -> set[str]:
-    """Top-level packages that a fresh interpreter holds after running `code`."""
-    ask = "import sys; print(' '.join(sorted({m.split('.')[0] for m in sys.modules})), file=sys.__stderr__)"
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}\n{ask}"], capture_output=True, text=True, cwd=ROOT, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
-    return set(done.stderr.splitlines()[-1].split())
-
-
-def command(*args: str) -> str:
-    run = f"try:\n    app({list(args)!r})\nexcept SystemExit as e:\n    assert not e.code"
-    return f"from tacgen.cli.main import app\n{run}"
+def loaded_by(*args: str) -> set[str]:
+    """Top-level packages that a fresh interpreter holds after running a command."""
+    run = f"from tacgen.cli.main import app\ntry:\n    app({list(args)!r})\n"
+    run += "except SystemExit as end:\n    assert not end.code"
+    ask = "import sys\nprint('\\n' + ' '.join({m.split('.')[0] for m in sys.modules}), file=sys.__stdout__)"
+    return set(ran("-c", f"{run}\n{ask}").splitlines()[-1].split())
 
 
 HEAVY = {"numpy", "scipy", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
 
 
 def test_help_imports_no_numerics():
-    assert loaded_by(command("--help")).isdisjoint({*HEAVY, "pydantic", "ruamel"})
+    assert loaded_by("--help").isdisjoint({*HEAVY, "pydantic", "ruamel"})
 
 
 @pytest.mark.parametrize("args", [("validate", "quickstart"), ("list",), ("schema",)])
 def test_reading_recipes_imports_no_numerics(args: tuple[str, ...]):
     # one scene needs a seed, which NumPy draws; nothing heavier
-    assert loaded_by(command(*args)).isdisjoint(HEAVY - {"numpy"})
+    assert loaded_by(*args).isdisjoint(HEAVY - {"numpy"})
 
 
 def test_the_check_sees_a_bad_import(tmp_path: Path):
@@ -389,10 +352,7 @@ def access(path: Path) -> tuple[set[str], set[str]]:
     for node, name in calls(path):
         last = name.rpartition(".")[2]
         if name in ("open", "io.open") or (last == "open" and not isinstance(node.func, ast.Name) and _of_a_path(name)):
-            given = [
-                *node.args[1 if name in ("open", "io.open") else 0 :],
-                *(k.value for k in node.keywords if k.arg == "mode"),
-            ]
+            given = node.args[name in ("open", "io.open") :] + [k.value for k in node.keywords if k.arg == "mode"]
             mode = next((str(a.value) for a in given if isinstance(a, ast.Constant)), "r")
             (writes if set(mode) & set("wax+") else reads).add("open")
         found = name if name in WRITES | READS else last
@@ -423,9 +383,8 @@ def test_files_are_written_and_read_in_their_homes_alone() -> None:
 
 def test_the_check_sees_a_bad_writer_and_reader(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
-    bad.write_text(
-        "open('a', 'w')\npath.open('rb')\npath.open(mode='x')\nnp.save(a, b)\nPath(a).read_text()\nos.replace(a, b)\n"
-    )
+    calls = "open('a', 'w') path.open('rb') path.open(mode='x') np.save(a,b) Path(a).read_text() os.replace(a,b)"
+    bad.write_text(calls.replace(") ", ")\n"))
     assert access(bad) == ({"open", "np.save", "os.replace"}, {"open", "read_text"})
 
 

@@ -5,19 +5,16 @@ import shutil
 from pathlib import Path
 
 import pytest
+from helpers.command import refused, tacgen_
 from helpers.synthetic import write
-from typer.testing import CliRunner
 
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
-from tacgen.cli.main import app
 
 
-def command(*args: object) -> tuple[int, str]:
-    """Exit code and stderr."""
-    done = CliRunner().invoke(app, [str(arg) for arg in args])
-    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
-    return done.exit_code, done.stderr
+def made(*words: object) -> None:
+    done = tacgen_(*words)
+    assert (done.exit_code, done.stderr) == (0, "")
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +56,7 @@ def test_inputs_and_pipes_are_refused_whatever_is_asked(data: Path, words: str, 
     os.mkfifo(fifo := data.parent / "fifo.vtkhdf")
     before = {path: path.read_bytes() for path in (scene, forces, sensor)}
     places = {"SCENE": scene, "DATA": data, "FORCES": forces, "SENSOR": sensor, "LINK": link, "FIFO": fifo}
-    code, said = command(*(places.get(word, word) for word in words.split()), *more)
-    assert code == 2
+    said = refused(*(places.get(word, word) for word in words.split()), *more)
     assert any(text in said for text in ("is an input", "belongs to the data set", "is a pipe")), said
     assert len(said.splitlines()) == 1
     assert {path: path.read_bytes() for path in before} == before
@@ -84,22 +80,21 @@ def test_a_file_of_somebody_s_is_replaced_on_request_only(
     monkeypatch.chdir(tmp_path)
     args = [{"SCENE": data / "scene-00000.h5", "DATA": data}.get(word, word) for word in words.split()]
     (target := Path(words.split()[-1])).write_text("mine")
-    code, said = command(*args)
-    assert (code, target.read_text()) == (2, "mine")
-    assert said.endswith(f"{target}: is there already; --overwrite replaces it\n")
-    assert command(*args, "--overwrite") == (0, "")
+    assert refused(*args).endswith(f"{target}: is there already; --overwrite replaces it\n")
+    assert target.read_text() == "mine"
+    made(*args, "--overwrite")
     assert target.read_bytes() != b"mine"
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
 def test_pages_of_tacgen_are_replaced_until_somebody_changes_them(data: Path) -> None:
     page = data / "report.html"
-    assert command("report", data) == (0, "")
+    made("report", data)
     first = page.read_bytes()
-    assert command("report", data) == (0, "")
+    made("report", data)
     assert page.read_bytes() == first
     page.write_bytes(first.replace(b"<h1>", b"<h1>My ", 1))
-    assert command("report", data)[0] == 2
+    refused("report", data)
     assert b"<h1>My " in page.read_bytes()
 
 

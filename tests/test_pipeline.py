@@ -4,8 +4,6 @@ import gc
 import json
 import os
 import re
-import subprocess
-import sys
 import weakref
 from dataclasses import replace
 from itertools import count
@@ -15,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.load_steps import watched
+from helpers.program import ran
 from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
@@ -60,6 +59,11 @@ def recipe(tmp_path: Path) -> Path:
     return path
 
 
+def made(recipe: Path, folder: Path, *sets: str) -> bundle.Bundle:
+    """The bundle of the recipe's only scene."""
+    return bundle.read(pipeline.run_scene(plan.load(recipe, sets).rows[0], folder).path)
+
+
 def test_threads_of_blas_change_no_byte(recipe: Path, tmp_path: Path) -> None:
     """OpenBLAS sums in another order on two threads; on one, as here, it waits, so the test needs no second core."""
     sets = ["quality=draft", "trajectory=[{press: {depth_mm: 0.4, frames: 1}}]"]
@@ -69,11 +73,9 @@ from tacgen.batch import pipeline
 from tacgen.recipe import plan
 pipeline.run_scene(plan.load(Path({str(recipe)!r}), {sets}).rows[0], Path({str(tmp_path / "two")!r}))
 """
-    told = {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
-    env = {**os.environ, **told, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    subprocess.run([sys.executable, "-c", program], check=True, env=env, capture_output=True)
+    ran("-c", program, OPENBLAS_NUM_THREADS="2", OMP_NUM_THREADS="2")
     with threadpool_limits(1):
-        one = pipeline.run_scene(plan.load(recipe, sets).rows[0], tmp_path / "one").path
+        one = made(recipe, tmp_path / "one", *sets).path
     assert one.read_bytes() == (tmp_path / "two" / "scene-00000.h5").read_bytes()
 
 
@@ -89,8 +91,7 @@ ours = ("tacgen.render.images", "tacgen.outputs.contact_maps", "tacgen.outputs.c
 heavy = ("mitsuba", "drjit", "matplotlib", "trimesh", "pytetwild", *ours)
 print([name for name in heavy if name in sys.modules])
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split("\n")[:2] == ["ok", "[]"], done.stdout + done.stderr
+    assert ran("-c", program).split("\n")[:2] == ["ok", "[]"]
     shapes = bundle.read(tmp_path / "out" / "scene-00000.h5").shapes
     assert "/frames/force" in shapes
     assert not [path for path in shapes if path.startswith(("/fields", "/mesh", "/reference"))]
@@ -115,8 +116,7 @@ sets += ["trajectory=[{{press: {{depth_mm: 0.3, frames: 1}}}}]", *{SMALL_CAMERA}
 row = plan.load(Path({str(assets.recipe_path("quickstart"))!r}), sets).rows[0]
 print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.stdout.split() == ["ok"], done.stderr
+    assert ran("-c", program).split() == ["ok"]
     assert bundle.read(tmp_path / "out" / "scene-00000.h5").attrs["renderer"] == "transport"
 
 
@@ -137,9 +137,7 @@ print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
 def test_an_output_brings_its_datasets_and_no_others(
     recipe: Path, output: str, datasets: set[str], tmp_path: Path
 ) -> None:
-    row = plan.load(recipe, [f"outputs=[{output}]", *SMALL_CAMERA]).rows[0]
-    found = pipeline.run_scene(row, tmp_path / "out")
-    shapes = bundle.read(found.path).shapes
+    shapes = made(recipe, tmp_path, f"outputs=[{output}]", *SMALL_CAMERA).shapes
     always = {p for p in shapes if p.startswith("/frames/quality/")}
     always |= {f"/frames/{name}" for name in ("pose", "segment", "force", "normal_force", "friction_force", "torque")}
     always |= set() if output in ("markers", "radiance") else {"/reference/x_mm", "/reference/y_mm"}  # of a map
@@ -151,7 +149,7 @@ def test_flow_carries_the_markers(recipe: Path, tmp_path: Path) -> None:
     from scipy.interpolate import RegularGridInterpolator
 
     sets = ["outputs=[markers, flow]", "trajectory[1].slide.x_mm=0.5", "contact.friction=1.0"]
-    found = bundle.read(pipeline.run_scene(plan.load(recipe, sets).rows[0], tmp_path / "out").path)
+    found = made(recipe, tmp_path / "out", *sets)
     flow, moved = found.frame("/frames/flow", 2), found.frame("/frames/marker_flow", 2)
     assert found.frame("/frames/marker_visible", 2).all()
     field = RegularGridInterpolator([np.arange(n) + 0.5 for n in flow.shape[:2]], flow)
@@ -162,20 +160,18 @@ def test_flow_carries_the_markers(recipe: Path, tmp_path: Path) -> None:
 
 
 def test_noise_is_the_frames_own_and_can_be_left_out(recipe: Path, tmp_path: Path) -> None:
-    pictures = {}
-    for name, noise in (("with", "true"), ("without", "false")):
-        row = plan.load(recipe, ["outputs=[rgb]", f"render.noise={noise}", *SMALL_CAMERA]).rows[0]
-        pictures[name] = bundle.read(pipeline.run_scene(row, tmp_path / name).path)
-    grain = pictures["with"]["/frames/rgb"].astype(float) - pictures["without"]["/frames/rgb"]
+    noisy, clean = (
+        made(recipe, tmp_path / noise, "outputs=[rgb]", f"render.noise={noise}", *SMALL_CAMERA)
+        for noise in ("true", "false")
+    )
+    grain = noisy["/frames/rgb"].astype(float) - clean["/frames/rgb"]
     assert (grain.std(axis=(1, 2)) > 0.8).all()
     assert (grain.std(axis=(1, 2)) < 4).all()
     assert abs(np.corrcoef(grain[0].ravel(), grain[1].ravel())[0, 1]) < 0.05  # each frame has its own
-    untouched = pictures["with"]["/reference/rgb"].astype(float) - pictures["without"]["/reference/rgb"]
+    untouched = noisy["/reference/rgb"].astype(float) - clean["/reference/rgb"]
     assert 0 < untouched.std() < 0.5 * grain.std()  # the mean of several frames
-    random, (height, width, _) = (
-        np.random.default_rng(np.random.SeedSequence((row.seed, 0, NOISE_STREAM))),
-        grain[0].shape,
-    )
+    random = np.random.default_rng(np.random.SeedSequence((noisy.attrs["seed"], 0, NOISE_STREAM)))
+    height, width, _ = grain[0].shape
     first = ndtri((random.integers(0, 2**16, (height, 3 * width), np.uint16) + 0.5) / 2**16)
     assert np.corrcoef(grain[0].ravel(), first.ravel())[0, 1] > 0.8  # by seed and frame, not by order of work
 
@@ -209,12 +205,10 @@ def test_a_scene_leaves_nothing_behind(recipe: Path, tmp_path: Path, monkeypatch
 
 
 def test_the_same_recipe_and_seed_give_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        row = plan.load(recipe, [EVERYTHING, *SMALL_CAMERA]).rows[0]
-        assert pipeline.run_scene(row, tmp_path / name).status == "ok"
-    one, two = ((tmp_path / name / "scene-00000.h5").read_bytes() for name in ("one", "two"))
-    assert one == two
-    assert check(tmp_path / "one") == []
+    one, two = (made(recipe, tmp_path / name, EVERYTHING, *SMALL_CAMERA) for name in ("one", "two"))
+    assert one.attrs["status"] == "ok"
+    assert one.path.read_bytes() == two.path.read_bytes()
+    assert check(one.path) == []
 
 
 def test_a_bundle_is_synced_before_and_after_it_has_its_name(
@@ -346,7 +340,7 @@ def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> No
     wide = row.sensor.markers.model_copy(update={"columns": 15})
     row = replace(row, sensor=row.sensor.model_copy(update={"markers": wide}))
     with pytest.raises(UserError, match="some markers of gelsight_mini lie beside the gel's face"):
-        pipeline.run_scene(row, tmp_path / "out")
+        pipeline.run_scene(row, tmp_path)
 
 
 COMPILED = """
@@ -367,11 +361,8 @@ pipeline.run_scene(row, Path(sys.argv[2]))
 @pytest.mark.slow
 def test_another_process_compiles_what_pictures_need(recipe: Path, tmp_path: Path) -> None:
     recipe.write_text(RECIPE.replace("[force]", "[force, traction, height, stress]"))
-    environment = os.environ | {"TACGEN_CODE_DIR": str(tmp_path / "code"), "PYTHONPATH": str(ROOT)}
-    found = []
-    for run in range(2):
-        command = [sys.executable, "-c", COMPILED, recipe, tmp_path / f"out-{run}"]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        found.append([line for line in done.stdout.splitlines() if line.startswith("tacgen.")])
-    assert found == [["tacgen.physics"], []]
-    assert {path.name.split("-")[0] for path in (tmp_path / "code").iterdir()} == {"tacgen.optics", "tacgen.physics"}
+    code = tmp_path / "code"
+    for number, compiles in enumerate((["tacgen.physics"], [])):
+        said = ran("-c", COMPILED, recipe, tmp_path / f"out-{number}", TACGEN_CODE_DIR=str(code)).splitlines()
+        assert [line for line in said if line.startswith("tacgen.")] == compiles
+    assert {path.name.split("-")[0] for path in code.iterdir()} == {"tacgen.optics", "tacgen.physics"}

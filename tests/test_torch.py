@@ -2,7 +2,9 @@
 
 import pickle
 import warnings
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from tacgen.bundle import dataset as source
 from tacgen.torch import TactileDataset, TactilePairs
 
 COUNT, FRAMES = 6, 12
+SPLITS = ("train", "val", "test")
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +63,16 @@ def test_the_reference_is_subtracted_without_loss(folder: Path) -> None:
 
 
 def test_splits_share_no_scene_and_do_not_depend_on_where_scenes_lie(folder: Path) -> None:
-    parts = {}
-    for split in ("train", "val", "test"):
-        found = [
-            TactileDataset(folder.parent / kind, split=split, fractions=(0.5, 0.2, 0.3)) for kind in ("loose", "packed")
-        ]
-        keys = [[scene.attrs["input_key"] for scene in dataset.scenes] for dataset in found]
-        assert keys[0] == keys[1]
-        parts[split] = keys[0]
-    assert sorted(key for part in parts.values() for key in part) == [f"{i:064d}" for i in range(COUNT)]
-    assert [len(part) for part in parts.values()] == [3, 1, 2]
-    others = {
-        tuple(s.attrs["input_key"] for s in TactileDataset(folder, split="train", seed=k).scenes) for k in range(9)
-    }
-    assert len(others) > 1
+    def keys(kind: str, split: str, **how: Any) -> tuple[str, ...]:
+        dataset = TactileDataset(folder.parent / kind, split=split, **how)
+        return tuple(scene.attrs["input_key"] for scene in dataset.scenes)
+
+    thirds = {"fractions": (0.5, 0.2, 0.3)}
+    parts, packed = ([keys(kind, split, **thirds) for split in SPLITS] for kind in ("loose", "packed"))
+    assert parts == packed
+    assert sorted(chain(*parts)) == [f"{i:064d}" for i in range(COUNT)]
+    assert [len(part) for part in parts] == [3, 1, 2]
+    assert len({keys("loose", "train", seed=k) for k in range(9)}) > 1
 
 
 def test_an_object_is_in_one_part_alone_whatever_the_folder(tmp_path: Path) -> None:
@@ -88,7 +87,7 @@ def test_an_object_is_in_one_part_alone_whatever_the_folder(tmp_path: Path) -> N
     parts = []
     for folder in ("one", "two"):
         parts.append({})
-        for split in ("train", "val", "test"):
+        for split in SPLITS:
             found = TactileDataset(tmp_path / folder, ("force",), split=split, **how)
             objects = [scene.recipe["indenter"] for scene in found.scenes]
             parts[-1][split] = {each.get("sha256", each["shape"]) for each in objects}
@@ -112,9 +111,8 @@ def test_values_are_float32_and_channels_first_where_asked(folder: Path) -> None
         assert np.array_equal(item[name], stored[name].astype(np.float32))
     change = TactileDataset(folder, ("rgb",), subtract_reference=True, float32=True)[7]["rgb"]
     assert change.min() < 0
-    assert np.array_equal(
-        TactileDataset(folder, ("rgb",), channels_first=True)[7]["rgb"], stored["rgb"].transpose(2, 0, 1)
-    )
+    turned = TactileDataset(folder, ("rgb",), channels_first=True)[7]["rgb"]
+    assert np.array_equal(turned, stored["rgb"].transpose(2, 0, 1))
 
 
 def test_it_pickles_without_its_open_files_and_forgets_those_of_a_parent(folder: Path) -> None:
@@ -228,12 +226,11 @@ def test_pairs_are_frames_of_one_contact(paired: Path, kind: str) -> None:
 @pytest.mark.slow
 def test_a_contact_is_in_one_part_on_all_its_sensors(paired: Path, folder: Path) -> None:
     parts = {}
-    for part in ("train", "val", "test"):
-        scenes = TactileDataset(paired, ("force",), split=part, fractions=(0.5, 0.2, 0.3), seed=1).scenes
+    for part in SPLITS:
+        how = {"split": part, "fractions": (0.5, 0.2, 0.3), "seed": 1}
+        scenes = TactileDataset(paired, ("force",), **how).scenes
         parts[part] = {scene.attrs.get("pair") for scene in scenes}
-        pairs = TactilePairs(
-            paired, ("force",), sensors=("mini", "digit"), split=part, fractions=(0.5, 0.2, 0.3), seed=1
-        )
+        pairs = TactilePairs(paired, ("force",), sensors=("mini", "digit"), **how)
         assert {int(pairs[i]["mini"]["force"][0]) // 3 for i in range(len(pairs))} == parts[part] - {None}
     assert sum(map(len, parts.values())) == 9 == len(set.union(*parts.values()))
     with pytest.raises(UserError, match="holds no contact on several sensors"):
@@ -248,7 +245,7 @@ def test_both_fingers_of_a_grasp_are_in_the_same_part(tmp_path: Path) -> None:
         finger = {"scene_index": i // 2, "finger": ("left", "right")[i % 2], "sensor": "digit"}
         write(tmp_path / f"scene-{i // 2:05d}-{'LR'[i % 2]}.h5", input_key=f"{i:064d}", **finger)
     parts = []
-    for part in ("train", "val", "test"):
+    for part in SPLITS:
         pairs = TactilePairs(tmp_path, ("force",), split=part, fractions=(0.5, 0.25, 0.25))
         assert pairs.sensors == ("left", "right")
         parts.append(len(pairs))

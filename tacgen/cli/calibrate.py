@@ -124,7 +124,7 @@ def unit(
 def _progress() -> Iterator[None]:
     """Show the steps of a fit on stderr."""
     from tacgen.calibrate import steps
-    from tacgen.report.step_progress import StepProgress
+    from tacgen.report.progress import StepProgress
 
     with StepProgress() as shown, steps.telling(shown):
         yield

@@ -12,6 +12,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from tacgen.base import output_file, regular_file
@@ -120,6 +121,14 @@ def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
     """UserError, naming the `output` of the recipe, unless the bundle holds all datasets of `paths`."""
     if missing := [path for path in paths if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
+
+
+def needs_package(kind: str, package: str) -> ModuleType:
+    """The `package` that writes a format, which an extra named after it brings. UserError if it is missing."""
+    try:
+        return import_module(package.lower())
+    except ImportError:
+        raise UserError(f"export {kind} needs {package}: pip install 'tacgen[{kind}]'") from None
 
 
 def needs_image(bundle: "Bundle", reader: str) -> None:

@@ -32,7 +32,7 @@ from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import EVENT_MODE_PATH
 from tacgen.bundle.image_file import encoded
-from tacgen.export import needs
+from tacgen.export import needs, needs_package
 from tacgen.export.episodes import SINGLE_SENSOR, Episode, episodes, split_ranges, state_and_action, write_splits
 from tacgen.export.feats import shares
 
@@ -65,10 +65,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     Raises:
         UserError: PyArrow is missing, a scene has no images, or sizes or frame rates differ.
     """
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError:
-        raise UserError("export lerobot needs PyArrow: pip install 'tacgen[lerobot]'") from None
+    needs_package("lerobot", "PyArrow")
     for bundle in bundles:
         needs(bundle, ("/frames/rgb",), "rgb")
     all_episodes = episodes(bundles)
@@ -76,9 +73,8 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     common = {"timestamp": _vector("float32", 1)} | {name: _vector("int64", 1) for name in INDEX_COLUMNS}
     features, rates = _together(each, _joined) | common, {_fps(bundle) for bundle in bundles}
     if len(rates) > 1:
-        raise UserError(
-            f"{bundles[0].path.parent}: LeRobot needs one frame rate, these have {sorted(rates)} frames a second"
-        )
+        where = bundles[0].path.parent
+        raise UserError(f"{where}: LeRobot needs one frame rate, these have {sorted(rates)} frames a second")
     tasks = list(dict.fromkeys(episode.task for episode in all_episodes))
     made, rows = _data(all_episodes, tasks, each, out)
     info = {
@@ -133,9 +129,8 @@ def _columns(bundle: Bundle, features: dict[str, Any], frames: int) -> dict[str,
     if f"{TACTILE_PREFIX}force" in features:
         columns[f"{TACTILE_PREFIX}force"] = np.stack([_cell_forces(bundle, k).ravel() for k in range(frames)])
     if "observation.contact" in features:
-        columns["observation.contact"] = np.column_stack(
-            [bundle[f"/frames/events/{name}"] for name in CONTACT_COMPONENTS]
-        )
+        parts = [bundle[f"/frames/events/{name}"] for name in CONTACT_COMPONENTS]
+        columns["observation.contact"] = np.column_stack(parts)
         columns["observation.contact_mode"] = bundle[EVENT_MODE_PATH][:, None]
     if DEPTH_KEY in features:
         depth = (bundle["/reference/height"] - bundle["/frames/height"]) * COUNTS_PER_MM
@@ -211,14 +206,10 @@ def _together(parts: dict[str, dict[str, Any]], join: Callable[[dict[str, Any]],
     """The columns of all sensors as those of one episode: state and action joined, others renamed by sensor."""
     if list(parts) == [SINGLE_SENSOR]:
         return parts[SINGLE_SENSOR]
-    joined = {
-        name: join({role: part[name] for role, part in parts.items()}) for name in ("observation.state", "action")
-    }
-    for role, part in parts.items():
-        for name, value in part.items():
-            if name not in joined:
-                joined[_named(name, role)] = value
-    return joined
+    both = ("observation.state", "action")
+    joined = {name: join({role: part[name] for role, part in parts.items()}) for name in both}
+    own = {_named(name, role): part[name] for role, part in parts.items() for name in part if name not in both}
+    return joined | own
 
 
 def _named(name: str, role: str) -> str:

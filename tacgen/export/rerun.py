@@ -22,12 +22,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tacgen.base.errors import UserError
 from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import EVENT_MODE_PATH, task
 from tacgen.bundle.image_file import encoded
-from tacgen.export import names
+from tacgen.export import names, needs_package
 
 SUFFIX = ".rrd"
 MAP_DIMENSIONS = {"pressure": ["row", "column"], "traction": ["row", "column", "xy"], "height": ["row", "column"]}
@@ -40,10 +39,7 @@ FACE_DATASETS = (  # rest points, facets and displacement of the face, in the or
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """One file a bundle: `out` itself if it ends in SUFFIX, otherwise <name>.rrd in it. Raises UserError: no Rerun."""
-    try:
-        import rerun  # noqa: F401
-    except ImportError:
-        raise UserError("export rerun needs Rerun: pip install 'tacgen[rerun]'") from None
+    needs_package("rerun", "Rerun")
     named = names(bundles)
     made = [out] if out.suffix == SUFFIX else [out / f"{name}{SUFFIX}" for name in named]
     for bundle, name, path in zip(bundles, named, made, strict=True):
@@ -143,9 +139,8 @@ def face(bundle: Bundle) -> FaceMesh | None:
             corners = bundle[facets]
             parts = [corners[:, [0, 1, 2]]] + ([corners[:, [0, 2, 3]]] if corners.shape[1] == 4 else [])
             nodes, triangles = np.unique(np.vstack(parts), return_inverse=True)
-            return FaceMesh(
-                bundle, triangles.reshape(-1, 3), bundle[points][nodes], np.zeros((0, 3)), displacement, nodes
-            )
+            triangles, rest = triangles.reshape(-1, 3), bundle[points][nodes]
+            return FaceMesh(bundle, triangles, rest, np.zeros((0, 3)), displacement, nodes)
     if "/frames/height" not in bundle or "sensor_document" not in bundle.attrs:
         return None
     from tacgen.optics.camera import PinholeCamera

@@ -36,15 +36,11 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     made, about = [], {}
     for number, (name, bundle) in enumerate(zip(names(bundles), bundles, strict=True)):
         made.append(folder / f"{number}.hdf5")
-        _write(bundle, made[-1])
+        with atomic_file.published(made[-1]) as sink, written_file(sink) as file:
+            for path, values in episode(bundle).items():
+                file.create_dataset(path, data=values, track_times=False)
         about[str(number)] = {"scene": name, "steps": bundle.frames, "recipe": bundle.recipe}
     return [*made, add(out / "metadata.json", json.dumps(about, indent=1) + "\n")]
-
-
-def _write(bundle: Bundle, path: Path) -> None:
-    with atomic_file.published(path) as sink, written_file(sink) as file:
-        for name, values in episode(bundle).items():
-            file.create_dataset(name, data=values, track_times=False)
 
 
 def episode(bundle: Bundle) -> dict[str, np.ndarray]:
@@ -63,9 +59,11 @@ def episode(bundle: Bundle) -> dict[str, np.ndarray]:
         tactile["marker"] = np.stack([np.broadcast_to(bundle["/reference/markers"], now.shape), now], axis=1)
         tactile["rgb_marker"] = tactile["rgb"]
     if "/frames/height" in bundle:
+        from tacgen.optics.camera import PinholeCamera
+
         height = bundle["/frames/height"]
         tactile["press_depth"] = np.maximum(bundle["/reference/height"] - height, 0)
-        tactile["depth"] = height - np.float32(_pinhole_mm(bundle))
+        tactile["depth"] = height - np.float32(PinholeCamera.from_sensor(bundle.sensor).pinhole[2])
     for name in ("force", "torque"):
         if f"/frames/{name}" in bundle:
             tactile[name] = bundle[f"/frames/{name}"]
@@ -76,10 +74,3 @@ def streams(images: np.ndarray) -> np.ndarray:
     """JPEG files as byte strings (N,), red and blue swapped as by UniVTAC: OpenCV takes its RGB for BGR."""
     pictures = [encoded(np.ascontiguousarray(image[..., ::-1]), "JPEG", quality=JPEG_QUALITY) for image in images]
     return np.array(pictures, dtype=f"S{max(map(len, pictures))}")
-
-
-def _pinhole_mm(bundle: Bundle) -> float:
-    """Height of the camera's pinhole in the sensor frame [mm]."""
-    from tacgen.optics.camera import PinholeCamera
-
-    return float(PinholeCamera.from_sensor(bundle.sensor).pinhole[2])

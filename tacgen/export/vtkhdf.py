@@ -36,13 +36,9 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     made = [out] if out.suffix == SUFFIX else [out / f"{name}{SUFFIX}" for name in names(bundles)]
     for bundle, path in zip(bundles, made, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(bundle, path)
+        with atomic_file.published(path) as sink, written_file(sink) as file:
+            _fill(file.create_group("VTKHDF", track_order=False), bundle)
     return made
-
-
-def _write(bundle: Bundle, path: Path) -> None:
-    with atomic_file.published(path) as sink, written_file(sink) as file:
-        _fill(file.create_group("VTKHDF", track_order=False), bundle)
 
 
 def _fill(root: Any, bundle: Bundle) -> None:
@@ -74,11 +70,9 @@ def _fill(root: Any, bundle: Bundle) -> None:
         steps.create_group(f"{where}Offsets")
     for name, vtk_name, where in VTK_FIELDS:
         if name in bundle:
-            frames = (bundle.frame(name, k) for k in range(bundle.frames))
-            each = bundle.shapes[name][1]
-            _stack(
-                root[where], vtk_name, (f[:, VTK_TENSOR_ORDER] if f.shape[1] == 6 else f for f in frames), bundle.frames
-            )
+            each, order = bundle.shapes[name][1], VTK_TENSOR_ORDER if bundle.shapes[name][2] == 6 else slice(None)
+            frames = (bundle.frame(name, k)[:, order] for k in range(bundle.frames))
+            _stack(root[where], vtk_name, frames, bundle.frames)
             _put(steps[f"{where}Offsets"], vtk_name, each * np.arange(bundle.frames))
     _put(root["CellData"], "layer", layer)
     _put(steps["CellDataOffsets"], "layer", still)

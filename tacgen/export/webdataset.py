@@ -18,13 +18,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tacgen.base.errors import UserError
 from tacgen.base.output_file import add
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import EVENT_MODE_PATH, modes
 from tacgen.bundle.image_file import encoded
 from tacgen.bundle.schema import UNIT_SYSTEM
-from tacgen.export import names
+from tacgen.export import names, needs_package
 from tacgen.export.episodes import SINGLE_SENSOR, Episode, episodes, split_ranges, write_splits
 
 SHARD_BYTES = 1_000_000_000
@@ -33,16 +32,13 @@ EVENTS_GROUP = "/frames/events/"
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """`out/train-000000.tar` and on, each of about a gigabyte, those of the other splits, and the references."""
-    try:
-        from webdataset import ShardWriter
-    except ImportError:
-        raise UserError("export webdataset needs WebDataset: pip install 'tacgen[webdataset]'") from None
+    webdataset = needs_package("webdataset", "WebDataset")
     every = episodes(bundles)
     # no time and no user in the headers, so that the same bundles give the same bytes
     plain = {"mtime": 0, "user": "tacgen", "group": "tacgen", "verbose": 0}
     for split, (first, end) in split_ranges(every).items():
         pattern = str(out / split).replace("%", "%%") + "-%06d.tar"  # the writer's format string
-        with ShardWriter(pattern, maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
+        with webdataset.ShardWriter(pattern, maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
             for episode in every[first:end]:
                 for sample in samples(episode):
                     writer.write(sample)

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS
+from tacgen.export import needs_package
 from tacgen.export.episodes import SINGLE_SENSOR, Episode, common, episodes, state_and_action, write_splits
 
 ZARR_FOLDER = "replay_buffer.zarr"
@@ -32,10 +32,7 @@ ZSTD_LEVEL = 5  # of Zstandard
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """Write the buffer, episode by episode. Raises UserError: Zarr is missing."""
-    try:
-        import zarr
-    except ImportError:
-        raise UserError("export zarr needs Zarr: pip install 'tacgen[zarr]'") from None
+    zarr = needs_package("zarr", "Zarr")
     every = episodes(bundles)
     ends = np.cumsum([episode.frames for episode in every])
     root = zarr.open_group(out / ZARR_FOLDER, mode="w", zarr_format=2)

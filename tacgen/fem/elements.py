@@ -76,14 +76,11 @@ def integration(nodes: int) -> tuple[Array, Array, int]:
     """Integration points of elements of so many nodes: N (q, a), its derivatives (q, a, 3) in the reference element,
     and the number of equal parts into which these points divide a cube of side 1."""
     if nodes == 8:
-        return *trilinear(
-            np.array([[a, b, c] for c in GAUSS_POINTS_2 for b in GAUSS_POINTS_2 for a in GAUSS_POINTS_2])
-        ), 1
-    L = (
-        np.full((1, 4), 0.25)
-        if nodes == 4
-        else np.full((4, 4), TET_POINT_COORDINATE) + np.eye(4) * (1 - 4 * TET_POINT_COORDINATE)
-    )
+        ticks = GAUSS_POINTS_2
+        return *trilinear(np.array([[a, b, c] for c in ticks for b in ticks for a in ticks])), 1
+    L, least = np.full((1, 4), 0.25), TET_POINT_COORDINATE
+    if nodes == 10:
+        L = np.full((4, 4), least) + np.eye(4) * (1 - 4 * least)
     N, dL = barycentric(L, nodes)
     return N, dL[..., 1:] - dL[..., :1], 6 * len(L)
 

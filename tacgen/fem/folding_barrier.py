@@ -62,10 +62,9 @@ class FoldingBarrier:
 
     @classmethod
     def on(cls, pattern: Pattern, points: Array, elements: Elements, mu: float) -> "FoldingBarrier":
-        rest = np.linalg.det(jacobians(points, elements.conn, grid_points(elements.conn.shape[1])[1]))
-        return cls(
-            elements.conn, pattern.slots(elements.conn), INVERSION_BARRIER_STIFFNESS * mu, rest, elements.weights.sum(1)
-        )
+        conn, stiffness = elements.conn, INVERSION_BARRIER_STIFFNESS * mu
+        rest = np.linalg.det(jacobians(points, conn, grid_points(conn.shape[1])[1]))
+        return cls(conn, pattern.slots(conn), stiffness, rest, elements.weights.sum(1))
 
     def stiffened(self, times: float) -> "FoldingBarrier":
         """This barrier with `times` its stiffness."""

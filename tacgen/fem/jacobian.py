@@ -54,12 +54,8 @@ def _table(columns: Array, powers: Array) -> tuple[Array, Array, Array, Array]:
     p = powers.shape[1]
     _, number, count = np.unique(total.reshape(p**3, -1), axis=0, return_inverse=True, return_counts=True)
     nodes = np.argsort(columns == 0, axis=2, kind="stable")[..., : (columns != 0).sum(2).max()]
-    return (
-        nodes.astype(np.int32),
-        np.take_along_axis(columns, nodes, 2),
-        number.reshape(p, p, p).astype(np.int32),
-        1 / count,
-    )
+    columns, monomial = np.take_along_axis(columns, nodes, 2), number.reshape(p, p, p).astype(np.int32)
+    return nodes.astype(np.int32), columns, monomial, 1 / count
 
 
 def _hexes() -> Bernstein:

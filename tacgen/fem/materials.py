@@ -118,8 +118,7 @@ class Stiffened:
 
     @property
     def coefficients(self) -> Array:
-        isochoric = [*[self.times] * 5, 1.0, 1.0, 1.0, 1.0]
-        return self.law.coefficients * isochoric
+        return self.law.coefficients * [*[self.times] * 5, 1.0, 1.0, 1.0, 1.0]
 
 
 # An example of each law, all with mu = 0.05 MPa and kappa = 0.4 MPa at rest, for tests.

@@ -72,28 +72,21 @@ def _weights(points: Array, cells: Array, centres: Array) -> "csr_array":
     n, corners = len(points), cells[:, : VERTEX_COUNTS[cells.shape[1]]]
     rows = np.repeat(np.arange(len(cells)), corners.shape[1])
     around = csr_array((np.ones(len(rows)), (corners.ravel(), rows)), shape=(n, len(cells)))
-    fits, ranks = _fits(points, corners, centres, around)
+    middle, columns, ranks = _fits(points, corners, centres, around)
     node, used = _patches_used(cells, n, ranks)
     # one entry for each node, each patch that it uses, and each element of that patch
     share = 1 / np.bincount(node, minlength=n)[node]
     size = np.diff(around.indptr)[used]
     pair = np.repeat(np.arange(len(used)), size)
     entry = np.arange(len(pair)) - np.repeat(np.cumsum(size) - size, size) + around.indptr[used][pair]
-    shift = np.concatenate([np.ones((len(used), 1)), points[node] - fits.middle[used]], 1)
-    value = share[pair] * (shift[pair] * fits.columns[entry]).sum(1)
+    shift = np.concatenate([np.ones((len(used), 1)), points[node] - middle[used]], 1)
+    value = share[pair] * (shift[pair] * columns[entry]).sum(1)
     return csr_array((value, (node[pair], around.indices[entry])), shape=(n, len(cells)))
 
 
-@dataclass(frozen=True)
-class _Fits:
-    """Centre (n, 3) of the patch of each vertex; columns (entries, 4) of the fits, in the order of the patches."""
-
-    middle: Array
-    columns: Array
-
-
-def _fits(points: Array, corners: Array, centres: Array, around: "csr_array") -> tuple[_Fits, Array]:
-    """Least-squares fits of 1, x, y, z on all patches, and how many of the four each determines (n,)."""
+def _fits(points: Array, corners: Array, centres: Array, around: "csr_array") -> tuple[Array, Array, Array]:
+    """Least-squares fits of 1, x, y, z on all patches: centre (n, 3) of the patch of each vertex, columns (entries, 4)
+    of the fits in the order of the patches, and how many of the four each determines (n,)."""
     sizes, n = np.diff(around.indptr), len(points)
     middle, columns, ranks = np.zeros((n, 3)), np.zeros((len(around.indices), 4)), np.zeros(n, int)
     low, high = points[corners].min(1), points[corners].max(1)
@@ -109,7 +102,7 @@ def _fits(points: Array, corners: Array, centres: Array, around: "csr_array") ->
         inverse = np.einsum("gik,gi,gji->gjk", vt, np.where(clear, 1 / np.where(clear, s, 1.0), 0.0), u)
         columns[entry] = np.concatenate([np.full((*entry.shape, 1), 1 / k), inverse / half[:, None]], -1)
         ranks[which] = 1 + clear.sum(1)
-    return _Fits(middle, columns), ranks
+    return middle, columns, ranks
 
 
 def _patches_used(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
@@ -126,13 +119,11 @@ def _patches_used(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
     known = ranks == ranks.max()
     used = csr_array(eye_array(n).tocsr()[known].T @ eye_array(n).tocsr()[known])
     while not known.all():
-        reached = ~known & (beside @ known.astype(float) > 0)
-        if not reached.any():  # a piece that hangs on by a corner: its own fits, as far as they go
-            reached = ~known & (ranks > 0)
-            used = used + csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
-        else:
-            rows = csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
-            used = used + rows @ beside @ used
+        follows = ~known & (beside @ known.astype(float) > 0)
+        # a piece that hangs on by a corner: its own fits, as far as they go
+        reached = follows if follows.any() else ~known & (ranks > 0)
+        rows = csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
+        used = used + (rows @ beside @ used if follows.any() else rows)
         known = known | reached
     entries = used.tocoo()
     return entries.row, entries.col

@@ -8,6 +8,7 @@ may be closest to its points, so that a distance takes a few triangles.
 
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -57,9 +58,8 @@ class SharpField(Field):
         numbers[0, RADIUS] = self.radius
         numbers[0, SHARE:LIST] = np.cumsum([part.size for part in parts])[:-1]
         numbers[0, LIST:ROW_NUMBERS] = np.cumsum([0, *(part.size for part in lists)])[:-1]
-        return Record(
-            numbers, np.concatenate(parts, dtype=float), np.concatenate(lists, dtype=np.int32, casting="unsafe")
-        )
+        both = np.concatenate(parts, dtype=float), np.concatenate(lists, dtype=np.int32, casting="unsafe")
+        return Record(numbers, *both)
 
 
 def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tuple[Array, ...]:
@@ -102,20 +102,11 @@ def lists(field: Field, distances: Array, solid: SolidMesh, radius: float) -> tu
 
 def sharpened(field: Field, known: tuple[Array, ...], radius: float, body: Array) -> Field:
     """The field with the edges of these lists and radius [mm]; itself if there are none. body (t,): of triangles."""
-    share, first, start, near, away, triangles = known
-    if not share.size:
+    named: dict[str, Any] = dict(zip(("share", "first", "start", "near", "away", "triangles"), known, strict=True))
+    if not named["share"].size:
         return field
-    return SharpField(
-        **{part.name: getattr(field, part.name) for part in fields(field)},
-        radius=radius,
-        share=share,
-        first=first,
-        start=start,
-        near=near,
-        away=away,
-        triangles=triangles,
-        body=body.astype(np.int32),
-    )
+    own = {part.name: getattr(field, part.name) for part in fields(field)}
+    return SharpField(**own, **named, radius=radius, body=body.astype(np.int32))
 
 
 def _inner(shape: tuple[int, ...], rim: int) -> Array:

@@ -84,9 +84,8 @@ class GelBody(Pad):
         area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
         flat = np.where((area > 0)[:, None], flat, flat[:, [0, 2, 1]])[np.abs(area) > 1e-12 * self.side**2]
         k, after = np.arange(len(rim)), np.roll(np.arange(len(rim)), -1)
-        strip = np.concatenate(
-            [np.stack([k, after, len(xy) + after], 1), np.stack([k, len(xy) + after, len(xy) + k], 1)]
-        )
+        low, high = np.stack([k, after, len(xy) + after], 1), np.stack([k, len(xy) + after, len(xy) + k], 1)
+        strip = np.concatenate([low, high])
         sides = [strip + level * len(xy) for level in range(len(self.layers))]
         sheets = [flat + level * len(xy) for level in range(len(self.layers) + 1)]
         vertices = np.concatenate([self.at_height(part, xy) for part in (0.0, *self.interfaces)])
@@ -259,10 +258,8 @@ def held_by(solid: mesh_file.SolidMesh, angle: float, held: float | None) -> tup
     theirs = np.isin(solid.body, solid.body[ours])
     first = np.array([v[t[solid.body == body][0, 0]] for body in np.setdiff1d(bodies, solid.body[ours])])
     if len(first) and (loose := int((~mesh_import.inside(v, t[theirs], first)).sum())):
-        return (
-            share,
-            f"{loose} of its {len(bodies)} bodies would not be bonded to the plate: unite them in a mesh editor",
-        )
+        text = "{} of its {} bodies would not be bonded to the plate: unite them in a mesh editor"
+        return share, text.format(loose, len(bodies))
     return share, ""
 
 
@@ -291,12 +288,8 @@ def _facing(v: Array, t: Array, sign: int, angle: float) -> Array:
 
 def _connected(t: Array, vertices: int) -> Array:
     """The connected part (t,) to which each triangle belongs; those that share a vertex are connected."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    rows = np.repeat(np.arange(len(t)), 3)
-    at_vertices = csr_array((np.ones(t.size), (rows, t.ravel())), shape=(len(t), vertices))
-    return np.asarray(connected_components(at_vertices @ at_vertices.T, directed=False)[1])
+    own = np.repeat(np.arange(len(t)), 3)
+    return mesh_file.connected(own, len(t) + t.ravel(), len(t) + vertices)[: len(t)]
 
 
 def _subdivided(rim: Array, step: float) -> Array:

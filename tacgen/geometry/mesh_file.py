@@ -85,9 +85,8 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
         mesh: Any = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
         return mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
     except Exception as error:  # trimesh's readers raise many types of errors for a damaged file
-        raise UserError(
-            f"{path}: is not a mesh that can be read ({type(error).__name__}: {error})".split("\n")[0]
-        ) from None
+        said = f"{path}: is not a mesh that can be read ({type(error).__name__}: {error})"
+        raise UserError(said.split("\n")[0]) from None
 
 
 def _without_points(faces: Array) -> Array:
@@ -154,7 +153,7 @@ def _welded(vertices: Array, faces: Array) -> Array:
 
     reach = MAX_CRACK_RATIO * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     i, j = cKDTree(vertices).query_pairs(reach, output_type="ndarray").T
-    group = _connected(i, j, len(vertices))
+    group = connected(i, j, len(vertices))
     _, first = np.unique(group, return_index=True)
     return _without_points(first[group[faces]])
 
@@ -181,8 +180,8 @@ def _mended(vertices: Array, faces: Array) -> Iterator[tuple[Array, Array]]:
     yield _filled(mended.vertex_matrix(), _without_points(np.asarray(mended.face_matrix(), np.int64)))
 
 
-def _connected(i: Array, j: Array, n: int) -> Array:
-    """Number of each of n nodes' connected component, where nodes i and j are connected."""
+def connected(i: Array, j: Array, n: int) -> Array:
+    """Number (n,) of each of n nodes' connected component, where nodes i (k,) and j (k,) are connected."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -216,10 +215,10 @@ def _bodies(faces: Array) -> tuple[Array, Array] | None:
             return None
     m = len(faces)
     face, two = np.repeat(np.arange(m), 3), np.bincount(edge)[edge] == 2
-    patch = _connected(face[two], m + edge[two], m + len(edges))[face]
+    patch = connected(face[two], m + edge[two], m + len(edges))[face]
     _, at, rim = np.unique(edge * m + patch, return_index=True, return_inverse=True)
     at = at[np.bincount(rim, way) != 0]  # sides at which a patch is open: it is closed by others there
-    body = _connected(patch[at], m + edge[at], m + len(edges))[patch[::3]]
+    body = connected(patch[at], m + edge[at], m + len(edges))[patch[::3]]
     return faces, np.unique(body, return_inverse=True)[1]
 
 

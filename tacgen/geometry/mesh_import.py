@@ -130,13 +130,9 @@ def field(solid: SolidMesh, *, cell: float, height: float, half: float, radius: 
 
     corners = solid.vertices[ConvexHull(solid.vertices).vertices]
     convex = Convex.of(solid, radius)
-    known = {
-        "smallest_radius": convex.smallest(lambda at: at[:, 2] < height),
-        "corners": corners,
-        "convex": convex,
-        "surface": (solid.vertices, solid.triangles),
-    }
-    spline = Field.through(distances, origin, cell, **known, blunt=True)
+    known = {"smallest_radius": convex.smallest(lambda at: at[:, 2] < height), "corners": corners, "convex": convex}
+    surface = solid.vertices, solid.triangles
+    spline = Field.through(distances, origin, cell, **known, surface=surface, blunt=True)
     asked_edges = spline, distances, solid, radius
     edges = array_cache.kept("edges", array_cache.digest((key, radius)), lambda: exact_edges.lists(*asked_edges))
     return exact_edges.sharpened(spline, edges, radius, solid.body)

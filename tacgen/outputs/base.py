@@ -65,6 +65,31 @@ def number(long_name: str, units: str = "1", nan: bool = False) -> Entry:
     return Entry("<f8", "N", units, long_name, nan=nan)
 
 
+def count(long_name: str) -> Entry:
+    """The row of a dataset with one whole number a frame."""
+    return Entry("<i4", "N", "1", long_name)
+
+
+def flag(long_name: str) -> Entry:
+    """The row of a dataset that is true or false in a frame."""
+    return Entry("|b1", "N", "1", long_name)
+
+
+def vector(long_name: str, units: str = "N", nan: bool = False) -> Entry:
+    """The row of a dataset with three numbers a frame."""
+    return Entry("<f8", "N 3", units, long_name, nan=nan)
+
+
+def pose(long_name: str) -> Entry:
+    """The row of a dataset with a pose (4, 4) [mm] a frame."""
+    return Entry("<f8", "N 4 4", "mm", long_name, axes="frame row column", most=MAX_COORDINATE_MM)
+
+
+def seen(shape: str, units: str, long_name: str, power: int | None = None) -> Entry:
+    """The row of a map of the face behind each sample, nan where there is none."""
+    return Entry("<f4", shape, units, long_name, nan=True, power=power)
+
+
 class DrawnMap(NamedTuple):
     """A map over the frames in figures and in the viewer, with a perceptually uniform colour map of matplotlib."""
 

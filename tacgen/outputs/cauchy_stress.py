@@ -51,8 +51,8 @@ class Stresses:
         count = len(self.problem.mesh.cells)
         element, nominal = np.zeros((count, 6)), np.zeros((count, 9))
         for number, part in enumerate(elastic or self.problem.elastic):
-            here = self.problem.mesh.layer == number
-            element[here], nominal[here] = _means(part, x)
+            here, (mean, P) = self.problem.mesh.layer == number, part.mean_stress(part.evaluate(x))
+            element[here], nominal[here] = voigt(mean), P.reshape(-1, 9)
         recovered = self.recovery.matrix @ np.concatenate([element, nominal], 1)
         rows, on_nodes = recovered[:, :6], self.recovery.outermost(recovered, len(x))
         node, P = on_nodes[:, :6].copy(), on_nodes[:, 6:].reshape(-1, 3, 3)
@@ -86,11 +86,9 @@ class Stresses:
         return measures
 
 
-def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
-    """Element means of the Cauchy stress over the volume now (e, 6), and of the nominal stress P over that at rest
-    (e, 9) [MPa]."""
-    mean, P = elastic.mean_stress(elastic.evaluate(x))
-    return np.stack([mean[:, i, j] for i, j in VOIGT_PAIRS], -1), P.reshape(-1, 9)
+def voigt(tensors: Array) -> Array:
+    """Symmetric tensors (n, 3, 3) as xx yy zz yz xz xy (n, 6)."""
+    return np.stack([tensors[:, i, j] for i, j in VOIGT_PAIRS], -1)
 
 
 def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
@@ -102,7 +100,7 @@ def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
     outer = missing[:, :, None] * normal[:, None]
     along = (missing * normal).sum(1)[:, None, None]
     change = outer + outer.swapaxes(1, 2) - along * normal[:, :, None] * normal[:, None]
-    return np.asarray(stress + np.stack([change[:, i, j] for i, j in VOIGT_PAIRS], -1))
+    return np.asarray(stress + voigt(change))
 
 
 class _Face:

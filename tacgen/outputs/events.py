@@ -1,6 +1,6 @@
 """The state of the contact as a whole, one mode and five numbers a frame."""
 
-from tacgen.outputs.base import Datasets, Entry, FrameData, Output, number
+from tacgen.outputs.base import Datasets, FrameData, Output, count, number, vector
 from tacgen.outputs.contact_modes import CONTACT_MODES as CONTACT_MODES
 
 
@@ -14,16 +14,14 @@ def _frame(frame: FrameData) -> Datasets:
 OUTPUT = Output(
     "the contact as a whole: mode, stick ratio, friction used, centre of pressure, area, patches",
     {
-        "/frames/events/mode": Entry(
-            "<i4", "N", "1", ", ".join(f"{number} {mode}" for number, mode in enumerate(CONTACT_MODES))
-        ),
+        "/frames/events/mode": count(", ".join(f"{k} {mode}" for k, mode in enumerate(CONTACT_MODES))),
         "/frames/events/stick_ratio": number("share of the normal force that does not slide"),
         "/frames/events/friction_used": number(
             "load along the face over what friction can bear; 1 where all of it slides"
         ),
-        "/frames/events/center_of_pressure": Entry("<f8", "N 3", "mm", "centre of pressure in the sensor frame"),
+        "/frames/events/center_of_pressure": vector("centre of pressure in the sensor frame", "mm"),
         "/frames/events/contact_area": number("area of the deformed face in contact, in view or not", "mm^2"),
-        "/frames/events/patches": Entry("<i4", "N", "1", "pieces that the contact consists of, in view or not"),
+        "/frames/events/patches": count("pieces that the contact consists of, in view or not"),
     },
     _frame,
 )

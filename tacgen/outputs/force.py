@@ -1,6 +1,6 @@
 """Pose of the indenter, force and torque on the gel, and how well the frame is solved: in every bundle."""
 
-from tacgen.outputs.base import MAX_COORDINATE_MM, Datasets, Entry, FrameData, Output, number
+from tacgen.outputs.base import Datasets, FrameData, Output, count, flag, number, pose, vector
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -37,45 +37,26 @@ def _frame(frame: FrameData) -> Datasets:
 OUTPUT = Output(
     "pose, force and torque; these are in every bundle",
     {
-        "/frames/pose": Entry(
-            "<f8",
-            "N 4 4",
-            "mm",
-            "pose of the indenter in the sensor frame",
-            axes="frame row column",
-            most=MAX_COORDINATE_MM,
-        ),
-        "/frames/segment": Entry("<i4", "N", "1", "index of the trajectory segment the frame belongs to"),
+        "/frames/pose": pose("pose of the indenter in the sensor frame"),
+        "/frames/segment": count("index of the trajectory segment the frame belongs to"),
         "/frames/time": number("time since the start of the path, where time counts", "s"),
-        "/frames/force": Entry("<f8", "N 3", "N", "force on the gel"),
-        "/frames/normal_force": Entry(
-            "<f8",
-            "N 3",
-            "N",
+        "/frames/force": vector("force on the gel"),
+        "/frames/normal_force": vector(
             "with friction: part of the force by pressure, along the indenter's normals; it has a part along the face"
-            " where the indenter ploughs",
+            " where the indenter ploughs"
         ),
-        "/frames/friction_force": Entry(
-            "<f8",
-            "N 3",
-            "N",
-            "with friction: part of the force by friction, at most the coefficient x the sum of pressure x area",
+        "/frames/friction_force": vector(
+            "with friction: part of the force by friction, at most the coefficient x the sum of pressure x area"
         ),
-        "/frames/torque": Entry("<f8", "N 3", "N mm", "torque on the gel about the sensor origin"),
-        "/frames/quality/newton_iterations": Entry("<i4", "N", "1", "Newton iterations spent on the frame"),
-        "/frames/quality/damped_steps": Entry(
-            "<i4",
-            "N",
-            "1",
-            "of these, steps in which the gel folds, wrinkles or slips suddenly: from the first that needed damping on",
+        "/frames/torque": vector("torque on the gel about the sensor origin", "N mm"),
+        "/frames/quality/newton_iterations": count("Newton iterations spent on the frame"),
+        "/frames/quality/damped_steps": count(
+            "of these, steps in which the gel folds, wrinkles or slips suddenly: from the first that needed damping on"
         ),
-        "/frames/quality/unique": Entry(
-            "|b1",
-            "N",
-            "1",
-            "no step needed damping since the gel was last untouched: where false, forces may depend on the step size",
+        "/frames/quality/unique": flag(
+            "no step needed damping since the gel was last untouched: where false, forces may depend on the step size"
         ),
-        "/frames/quality/substeps": Entry("<i4", "N", "1", "steps the frame was split into"),
+        "/frames/quality/substeps": count("steps the frame was split into"),
         "/frames/quality/min_gap_mm": number("smallest gap between gel and indenter", "mm"),
         "/frames/quality/mean_gap_mm": number("pressure-weighted mean gap", "mm"),
         "/frames/quality/overlap_mm": number("how deep the face is in the indenter between contact points", "mm"),

@@ -1,13 +1,9 @@
 """Distance between the deformed coated face and the indenter."""
 
-from tacgen.outputs.base import Entry, Output
+from tacgen.outputs.base import Output, seen
 
 OUTPUT = Output(
     "distance of the deformed face from the indenter",
-    {
-        "/frames/gap": Entry(
-            "<f4", "N h w", "mm", "distance of the deformed coated face from the indenter", nan=True, power=-15
-        )
-    },
+    {"/frames/gap": seen("N h w", "mm", "distance of the deformed coated face from the indenter", -15)},
     lambda frame: {"/frames/gap": frame.outer.gap(frame.scene.problem.contact.shape, frame.state.pose)},
 )

@@ -1,6 +1,6 @@
 """The object and the fingers of a grasp, in each finger's bundle."""
 
-from tacgen.outputs.base import MAX_COORDINATE_MM, Datasets, Entry, FrameData, Output, number
+from tacgen.outputs.base import Datasets, FrameData, Output, count, number, pose
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -19,26 +19,10 @@ def _frame(frame: FrameData) -> Datasets:
 OUTPUT = Output(
     "with the block `grasp`: poses of object and sensor, opening, weight that is not held",
     {
-        "/frames/grasp/object": Entry(
-            "<f8",
-            "N 4 4",
-            "mm",
-            "pose of the object in the world frame of a grasp",
-            axes="frame row column",
-            most=MAX_COORDINATE_MM,
-        ),
-        "/frames/grasp/sensor": Entry(
-            "<f8",
-            "N 4 4",
-            "mm",
-            "pose of this finger's sensor frame in the world",
-            axes="frame row column",
-            most=MAX_COORDINATE_MM,
-        ),
+        "/frames/grasp/object": pose("pose of the object in the world frame of a grasp"),
+        "/frames/grasp/sensor": pose("pose of this finger's sensor frame in the world"),
         "/frames/grasp/width_mm": number("distance of the fingers' untouched faces", "mm"),
-        "/frames/grasp/mode": Entry(
-            "<i4", "N", "1", "the object: 0 stands on the table, 1 is held, 2 falls: friction does not bear it"
-        ),
+        "/frames/grasp/mode": count("the object: 0 stands on the table, 1 is held, 2 falls: friction does not bear it"),
         "/frames/grasp/unborne": number(
             "part of the weight that the fingers do not bear: the table does, or nothing", "N"
         ),

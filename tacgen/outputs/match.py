@@ -1,6 +1,6 @@
 """How a frame differs from the table whose forces it meets: the correction of the object's pose, and both forces."""
 
-from tacgen.outputs.base import Datasets, Entry, FrameData, Output, number
+from tacgen.outputs.base import Datasets, FrameData, Output, flag, number, vector
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -44,9 +44,9 @@ OUTPUT = Output(
             "normal force that the table asks for, in a grasp of each finger; nan where it has none", "N", nan=True
         ),
         "/frames/match/reached_force": number("normal force on the gel; in a grasp the mean of both", "N"),
-        "/frames/match/met": Entry("|b1", "N", "1", "the frame is as the table asks: where false, `notes` say why"),
-        "/frames/match/shift": Entry(
-            "<f8", "N 3", "mm", "in a grasp: correction of the object's origin, in this finger's sensor frame", nan=True
+        "/frames/match/met": flag("the frame is as the table asks: where false, `notes` say why"),
+        "/frames/match/shift": vector(
+            "in a grasp: correction of the object's origin, in this finger's sensor frame", "mm", nan=True
         ),
         "/frames/match/turn_deg": number("in a grasp: angle by which the object's pose is corrected", "deg", nan=True),
         "/frames/match/borne": number("in a grasp: part of the weight that the fingers bear", "N"),

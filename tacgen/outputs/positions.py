@@ -1,6 +1,8 @@
 """Positions on the untouched face of the samples of all maps: stored where there is a map."""
 
-from tacgen.outputs.base import Datasets, Entry, Output, SceneData
+from tacgen.outputs.base import Datasets, Output, SceneData, seen
+
+PLACE = "in the sensor frame of the untouched face behind each sample"
 
 
 def _reference(scene: SceneData) -> Datasets:
@@ -10,14 +12,7 @@ def _reference(scene: SceneData) -> Datasets:
 
 OUTPUT = Output(
     "with every map: where its samples lie on the untouched face",
-    {
-        "/reference/x_mm": Entry(
-            "<f4", "h w", "mm", "x in the sensor frame of the untouched face behind each sample", nan=True, power=-12
-        ),
-        "/reference/y_mm": Entry(
-            "<f4", "h w", "mm", "y in the sensor frame of the untouched face behind each sample", nan=True, power=-12
-        ),
-    },
+    {f"/reference/{axis}_mm": seen("h w", "mm", f"{axis} {PLACE}", -12) for axis in "xy"},
     lambda frame: {},
     _reference,
 )

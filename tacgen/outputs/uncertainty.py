@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tacgen.outputs.base import Datasets, Entry, FrameData, Output
+from tacgen.outputs.base import Datasets, Entry, FrameData, Output, vector
 
 
 def _frame(frame: FrameData) -> Datasets:
@@ -35,11 +35,11 @@ OUTPUT = Output(
     "with the block `uncertainty`: standard deviations of the force and of the maps of `traction`, change of the"
     " force by each input",
     {
-        "/frames/sensitivity/modulus": Entry("<f8", "N 3", "N", "change of force by all moduli, over them"),
-        "/frames/sensitivity/poissons_ratio": Entry("<f8", "N 3", "N", "change of force by Poisson's ratio"),
-        "/frames/sensitivity/friction": Entry("<f8", "N 3", "N", "change of force by friction"),
-        "/frames/sensitivity/depth": Entry("<f8", "N 3", "N/mm", "change of force by depth"),
-        "/frames/uncertainty/force": Entry("<f8", "N 3", "N", "standard deviation of the force"),
+        "/frames/sensitivity/modulus": vector("change of force by all moduli, over them"),
+        "/frames/sensitivity/poissons_ratio": vector("change of force by Poisson's ratio"),
+        "/frames/sensitivity/friction": vector("change of force by friction"),
+        "/frames/sensitivity/depth": vector("change of force by depth", "N/mm"),
+        "/frames/uncertainty/force": vector("standard deviation of the force"),
         "/frames/uncertainty/pressure": Entry("<f4", "N h w", "MPa", "standard deviation of the pressure"),
         "/frames/uncertainty/traction": Entry("<f4", "N h w 2", "MPa", "standard deviation of the traction"),
     },

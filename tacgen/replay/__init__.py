@@ -17,8 +17,5 @@ __all__ = ["Choice", "Prepared", "compared", "prepare"]
 
 def compared(prepared: Prepared, results: Sequence[SceneResult]) -> list[Compared]:
     """The frames of each finished scene beside the log's rows; a scene that failed has no bundle and is left out."""
-    found = []
-    for log, result in zip(prepared.logs, results, strict=True):
-        if result.status != "failed":
-            found.append(comparison.compare(log, read(result.path), prepared.sensor_pose))
-    return found
+    made = [(log, result.path) for log, result in zip(prepared.logs, results, strict=True) if result.status != "failed"]
+    return [comparison.compare(log, read(path), prepared.sensor_pose) for log, path in made]

@@ -18,12 +18,12 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import Placement
 from tacgen.replay.contact_log import ContactLog
+from tacgen.report import force_figure
 
 Array = np.ndarray
 STD_PATH = "/frames/uncertainty/force"
 MIN_CONTACT_FORCE_N = 1e-3  # smallest force that counts as contact [N]
 MIN_TORQUE_N_MM = 1e-3  # smallest torque that errors are divided by [N mm]
-HALF_90_PER_STD = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
 COMPARISON_FILES = ("forces.csv", "forces.txt", "forces.png")
 MAX_PRINTED_FRAMES = 12  # frames of a log that are printed
 FORCE_AXES = "xyz"
@@ -68,7 +68,7 @@ class Compared:
                 theirs = float(np.linalg.norm(self.theirs[side, :2]))
                 found["tangential"] |= {"theirs_n": theirs, **_errors(self.ours, self.theirs, [0, 1])}
             if self.std is not None:
-                off, sure = np.abs(self.theirs - self.ours)[:, 2], HALF_90_PER_STD * self.std[:, 2]
+                off, sure = np.abs(self.theirs - self.ours)[:, 2], force_figure.HALF_90_PER_STD * self.std[:, 2]
                 found["inside_90"] = float((off <= sure)[self.contact].mean()) if self.contact.any() else None
         if self.their_torque is not None:
             size, theirs = (np.linalg.norm(part, axis=1) for part in (self.torque, self.their_torque))
@@ -131,12 +131,9 @@ def text(found: Sequence[Compared]) -> str:
     rows = [["log", "frames", "contact", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"]]
     every = [one.summary() for one in found]
     rows += [[one["log"], str(one["frames"]), str(one["in_contact"]), *_cells(one, "normal")] for one in every]
-    lines += aligned(rows)
-    lines += ["tangential force [N]: the same, in the plane of the gel"]
-    rows = [
-        ["log", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"],
-        *([one["log"], *_cells(one, "tangential")] for one in every),
-    ]
+    lines += [*aligned(rows), "tangential force [N]: the same, in the plane of the gel"]
+    rows = [["log", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"]]
+    rows += [[one["log"], *_cells(one, "tangential")] for one in every]
     lines += aligned(rows)
     if turned := [(one["log"], one["torque"]) for one in every if "torque" in one]:
         lines += ["torque about the sensor's origin [N mm]: the same"]
@@ -147,10 +144,8 @@ def text(found: Sequence[Compared]) -> str:
         lines += aligned(rows)
     lines += [f"{one.log.name}: {one.reason}" for one in found if one.reason]
     if len(found) == 1 and len(found[0].ours):
-        lines += [
-            "frames: forces on the gel [N], x right and y down in the image, z out of the gel",
-            *_frames(found[0]),
-        ]
+        lines.append("frames: forces on the gel [N], x right and y down in the image, z out of the gel")
+        lines += _frames(found[0])
     return "\n".join(lines)
 
 
@@ -201,8 +196,6 @@ def write(
 ) -> list[Path]:
     """Write COMPARISON_FILES into a folder and return their paths. Raises UserError: one is an input, or is there and
     is not what tacgen wrote, and there is no `overwrite`."""
-    from tacgen.report import force_figure
-
     paths = lines, words, picture = [folder / name for name in COMPARISON_FILES]
     options: dict[str, Any] = {"overwrite": overwrite, "within": folder, "kind": "result"}
     for path, content in ((lines, table(found)), (words, text(found) + "\n")):

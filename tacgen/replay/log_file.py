@@ -56,21 +56,14 @@ def _of_table(path: Path, how: Conventions) -> ContactLog:
         rows = pose_table.read(path, how.units or None, how.columns).poses
     except UserError as error:
         raise UserError(f"{path}: {line}" for line in error.lines) from None
-    sensors = [row.sensor for row in rows if row.sensor is not None]
-    forces = [row.force for row in rows if row.force is not None]
-    found = ContactLog(
-        _name(path),
-        np.arange(len(rows)),
-        np.array([row.time for row in rows]),
-        np.array([row.pose for row in rows]),
-        np.array(sensors) if sensors else None,
-        np.array(forces) if forces else None,
-        True,
+    time, poses = (np.array([getattr(row, name) for row in rows]) for name in ("time", "pose"))
+    sensors, forces = (
+        [here for row in rows if (here := getattr(row, name)) is not None] for name in ("sensor", "force")
     )
-    if found.force is not None and not np.isfinite(found.force).all():
-        line = rows[int(np.flatnonzero(~np.isfinite(found.force).all(1))[0])].line
-        raise UserError(f"{path}: line {line}: the force must be numbers")
-    return found
+    sensor, force = (np.array(known) if known else None for known in (sensors, forces))
+    if force is not None and not (numbers := np.isfinite(force).all(1)).all():
+        raise UserError(f"{path}: line {rows[int(numbers.argmin())].line}: the force must be numbers")
+    return ContactLog(_name(path), np.arange(len(rows)), time, poses, sensor, force, True)
 
 
 def _oriented(log: ContactLog, how: Conventions) -> ContactLog:

@@ -72,9 +72,8 @@ def _missing(seen: Overview) -> str:
     rows = [(scene.name, scene.state, scene.reason) for scene in seen.scenes if scene.state != "ok"]
     if not rows:
         return ""
-    more = (
-        f"\n\nand {len(rows) - MAX_REASON_ROWS} more: `tacgen status` names all" if len(rows) > MAX_REASON_ROWS else ""
-    )
+    left = len(rows) - MAX_REASON_ROWS
+    more = f"\n\nand {left} more: `tacgen status` names all" if left > 0 else ""
     return "## Missing scenes\n\n" + _table(("scene", "state", "reason"), rows[:MAX_REASON_ROWS]) + more
 
 

@@ -17,7 +17,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import move_text
 from tacgen.bundle.scene_words import shape_text
 from tacgen.recipe import assets
-from tacgen.report.sensor_sheet import KEY_UNITS
+from tacgen.report.sensor_sheet import name_and_unit
 from tacgen.report.sheet import counted
 from tacgen.sensor.yaml_source import text_of
 
@@ -152,11 +152,11 @@ def look(folder: Path, known: Iterable[Bundle] = ()) -> Overview:
         UserError: nothing to read; a packed folder that is incomplete.
     """
     if dataset.is_packed(folder):
-        return _plain(folder, dataset.read_index(folder).name)
+        return of_bundles(dataset.scenes(folder), folder, dataset.read_index(folder).name)
     try:
         name, opened = run_status.opened(folder, known)
     except UserError:
-        return _plain(folder, "")
+        return of_bundles(dataset.scenes(folder), folder)
     scenes = tuple(SceneOverview(**vars(scene), bundle=bundle) for scene, bundle in opened)
     return Overview(name, folder, scenes, sum(scene.path.stat().st_size for scene in scenes if scene.path.exists()))
 
@@ -195,12 +195,6 @@ def spread(values: Sequence[Any]) -> str:
     return ("; " if any("," in value for value in count) else ", ").join(shown + more)
 
 
-def name_and_unit(name: str) -> tuple[str, str]:
-    """The words of a key and its unit: `size x`, `mm` of size_x_mm."""
-    end = next((end for end in KEY_UNITS if name.endswith(end)), "")
-    return name.removesuffix(end).strip("_").replace("_", " "), KEY_UNITS.get(end, "")
-
-
 def phrase(name: str, value: Any) -> str:
     """A varied value with its name and unit: `friction 0.5`, `x -2.39 mm`."""
     said, unit = name_and_unit(name)
@@ -218,11 +212,6 @@ def _named(value: Any) -> str:
 
 def _joined(parts: Iterable[str]) -> str:
     return ", ".join(parts) or "none"
-
-
-def _plain(folder: Path, name: str) -> Overview:
-    """A folder without a plan, from its bundles alone."""
-    return of_bundles(dataset.scenes(folder), folder, name)
 
 
 def of_bundles(bundles: Sequence[Bundle], folder: Path, name: str = "") -> Overview:

@@ -46,12 +46,8 @@ SECTION_HEIGHT_RATIO = 0.42  # height of a section over its width
 SECTION_WIDTH_RATIO = 3.4  # width of a section over the gel's thickness
 MIN_STRESS_SCALE_MPA = 1e-6  # [MPa] of the brightest colour: rounding of a gel that nothing touches stays dark
 SECTION_SHIFT_MM = 1e-6  # [mm] shift of the section, so that it does not pass through nodes of a symmetric mesh
-CONTACT_STATE_STYLES = {
-    postprocess.FREE: ("free", "#f2f2f2"),
-    postprocess.EDGE: ("edge", "#f0e442"),
-    postprocess.STICK: ("stick", "#0072b2"),
-}
-CONTACT_STATE_STYLES |= {postprocess.SLIP: ("slip", "#d55e00")}
+CONTACT_STATE_STYLES = {postprocess.FREE: ("free", "#f2f2f2"), postprocess.EDGE: ("edge", "#f0e442")}
+CONTACT_STATE_STYLES |= {postprocess.STICK: ("stick", "#0072b2"), postprocess.SLIP: ("slip", "#d55e00")}
 # a component of stress: its name, function of the tensor (n, 6), colour map, and whether it is signed
 Section = tuple[str, Callable[[Array], Array], str, bool]
 STRESS_SECTIONS: tuple[Section, ...] = (
@@ -153,12 +149,8 @@ def draw_stress(
                 edge = crossed(vertices, indenter.triangles, float(pose[1, 3]) + SECTION_SHIFT_MM)
                 panel.add_collection(LineCollection(list(edge), colors="#606060", linewidths=1.2))
             low = points[:, 2].min() - 0.1
-            panel.set(
-                xlim=(middle - half, middle + half),
-                ylim=(low, low + 2 * half * SECTION_HEIGHT_RATIO),
-                facecolor="white",
-            )
-            panel.set_aspect("equal")
+            panel.set(xlim=(middle - half, middle + half), ylim=(low, low + 2 * half * SECTION_HEIGHT_RATIO))
+            panel.set(facecolor="white", aspect="equal")
         frame_axes(row, "z [mm]")
         symbol, _, index = name.partition("_")
         bars.append((drawn, (f"${symbol}_{{{index}}}$" if index else name) + " [MPa]", {}))
@@ -206,8 +198,7 @@ def surface_of(indenter: Indenter, size: float, path: Path | None = None) -> Tri
     Raises:
         UserError: the file of a mesh cannot be read.
     """
-    shape = analytic(indenter)
-    if shape is not None:
+    if (shape := analytic(indenter)) is not None:
         return surface_nets.of_shape(shape, half=size, height=size, tolerance=0.02)
     assert indenter.shape == "mesh"
     solid = mesh_file.read(path or assets.mesh_path(indenter.file))

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -46,14 +46,11 @@ def draw(series: Sequence[Series], out: Path) -> None:
         theirs = np.linalg.norm(one.theirs[:, :2], axis=1) if one.theirs is not None and one.friction else None
         _curves(side, x, shear, spread, theirs, first)
         if one.theirs is not None:
-            error.fill_between(
-                x, -HALF_90_PER_STD * std[:, 2], HALF_90_PER_STD * std[:, 2], color=OUR_COLOUR, alpha=0.3, linewidth=0
-            )
+            _interval(error, x, 0 * std[:, 2], std[:, 2])
             error.plot(x, one.ours[:, 2] - one.theirs[:, 2], ".-", color=THEIR_COLOUR, markersize=3, linewidth=1)
         if len(series) <= MAX_NAMED_LOGS:
-            where = (start, 1.03)
-            upright = {"transform": normal.get_xaxis_transform(), "rotation": 15}
-            normal.text(*where, one.name, fontsize=7, parse_math=False, **upright)
+            leaning = {"transform": normal.get_xaxis_transform(), "rotation": 15}
+            normal.text(start, 1.03, one.name, fontsize=7, parse_math=False, **leaning)
         start += len(one.ours)
         for axes in (normal, error, side) if start < count else ():
             axes.axvline(start - 0.5, color="#cccccc", linewidth=0.6)
@@ -68,12 +65,14 @@ def draw(series: Sequence[Series], out: Path) -> None:
 
 def _curves(axes: "Axes", x: Array, ours: Array, std: Array, theirs: Array | None, named: bool) -> None:
     """Our force with its 90 % interval, and theirs."""
-    axes.fill_between(
-        x, ours - HALF_90_PER_STD * std, ours + HALF_90_PER_STD * std, color=OUR_COLOUR, alpha=0.3, linewidth=0
-    )
-    axes.plot(
-        x, ours, ".-", color=OUR_COLOUR, markersize=3, linewidth=1, label="tacgen, 90 % interval" if named else None
-    )
+    _interval(axes, x, ours, std)
+    labels = ("tacgen, 90 % interval", "simulator") if named else (None, None)
+    thin: dict[str, Any] = {"markersize": 3, "linewidth": 1}
+    axes.plot(x, ours, ".-", color=OUR_COLOUR, label=labels[0], **thin)
     if theirs is not None:
-        label = "simulator" if named else None
-        axes.plot(x, theirs, ".--", color=THEIR_COLOUR, markersize=3, linewidth=1, label=label)
+        axes.plot(x, theirs, ".--", color=THEIR_COLOUR, label=labels[1], **thin)
+
+
+def _interval(axes: "Axes", x: Array, middle: Array, std: Array) -> None:
+    half = HALF_90_PER_STD * std
+    axes.fill_between(x, middle - half, middle + half, color=OUR_COLOUR, alpha=0.3, linewidth=0)

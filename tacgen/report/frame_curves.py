@@ -41,9 +41,8 @@ def draw_lift(panel: "Axes", bundle: Bundle) -> None:
     _segments(panel, bundle)
     panel.set_xlabel("frame", fontsize=8)
     panel.set_ylabel("lift [mm]", fontsize=8)
-    for name, colour in (("sensor", "#606060"), ("object", "#cc79a7")):
+    for name, label, colour in (("sensor", "fingers", "#606060"), ("object", "object", "#cc79a7")):
         height = bundle[f"/frames/grasp/{name}"][:, 2, 3]
-        label = "fingers" if name == "sensor" else name
         panel.plot(height - height[0], color=colour, marker="o", markersize=2.5, label=label)
     falls = np.flatnonzero(bundle["/frames/grasp/mode"] == Mode.falling)
     if len(falls):

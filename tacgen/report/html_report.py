@@ -15,6 +15,7 @@ from tacgen.report import dataset_summary, html_page, scene_pages, svg_plots, vi
 from tacgen.report.dataset_summary import Overview, SceneOverview, shape_name
 from tacgen.report.html_page import table
 from tacgen.report.scene_pages import movement
+from tacgen.report.sensor_sheet import name_and_unit
 from tacgen.report.sheet import counted, short
 
 MAX_REPORT_PICTURES = 48
@@ -74,10 +75,15 @@ def _overview(seen: Overview) -> str:
     for name in ("sensor", "solver", "renderer", "tacgen_version"):
         rows.append((name.replace("_", " "), ", ".join(seen.distinct(name))))
     facts = table((), [row for row in rows if row[1]])
-    failed = []
-    for (state, reason), names in causes(seen.scenes).items():
-        shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-        failed.append((len(names), state, reason or "not made yet", shown))
+    failed = [
+        (
+            len(names),
+            state,
+            reason or "not made yet",
+            ", ".join(names[:8]) + f" and {len(names) - 8} more" * (len(names) > 8),
+        )
+        for (state, reason), names in causes(seen.scenes).items()
+    ]
     why = f"<h2>Failures by cause</h2>{table(('scenes', 'state', 'cause', ''), failed)}" if failed else ""
     return f"<div class=tiles>{tiles}</div>{facts}{why}"
 
@@ -87,7 +93,7 @@ def _coverage(seen: Overview) -> str:
     for each scene, coloured by its state."""
     numbers = {p: np.array(v, float) for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
     colours = [scene.state if scene.state in STATES else "other" for scene in seen.scenes]
-    names = {path: "{} [{}]".format(*dataset_summary.name_and_unit(name)) for path, name in short(seen.varied).items()}
+    names = {path: "{} [{}]".format(*name_and_unit(name)) for path, name in short(seen.varied).items()}
     names = {path: name.removesuffix(" []") for path, name in names.items()}
     rows = [(path, dataset_summary.spread(values)) for path, values in seen.varied.items()]
     plots = [svg_plots.histogram(names[path], values) for path, values in numbers.items()]

@@ -27,20 +27,12 @@ from tacgen.report import dataset_card, dataset_summary
 from tacgen.report.dataset_summary import Overview
 from tacgen.sensor.yaml_source import dumped
 
-SIZE_CATEGORIES = (
-    (10**3, "n<1K"),
-    (10**4, "1K<n<10K"),
-    (10**5, "10K<n<100K"),
-    (10**6, "100K<n<1M"),
-    (10**7, "1M<n<10M"),
-)
+SIZE_CATEGORIES = {10**3: "n<1K", 10**4: "1K<n<10K", 10**5: "10K<n<100K", 10**6: "100K<n<1M", 10**7: "1M<n<10M"}
 LARGEST_SIZE_CATEGORY = "10M<n<100M"
 JOINED_FORMATS = ("lerobot", "webdataset", "zarr")  # formats in which a contact on several sensors is one row
 HUB_FORMATS = {**EXPORTERS, "pack": "bundles in HDF5 shards and their index, for `tacgen.torch.TactileDataset` or h5py"}
-SPLIT_FILE_PATTERNS = {  # of each split, in the formats that the hub's library reads
-    "feelanyforce": "TacForce_{}_set.csv",
-    "webdataset": "{}-*.tar",
-}
+# of each split, in the formats that the hub's library reads
+SPLIT_FILE_PATTERNS = {"feelanyforce": "TacForce_{}_set.csv", "webdataset": "{}-*.tar"}
 
 
 def writer(
@@ -77,10 +69,8 @@ def text(
         more: a further part of the text, in Markdown.
     """
     head = dumped(header(kind, bundles, folder, command, licence or "unknown"))
-    made = (
-        f"## Files\n\n`{kind}`: {HUB_FORMATS[kind].partition(' (tacgen[')[0]}. Made "
-        f"by\n\n```sh\n{printable(command)}\n```"
-    )
+    about = HUB_FORMATS[kind].partition(" (tacgen[")[0]
+    made = f"## Files\n\n`{kind}`: {about}. Made by\n\n```sh\n{printable(command)}\n```"
     recipe = json.dumps(bundles[0].recipe, indent=1).replace("`", "\\u0060")
     parts = [dataset_card.text(seen, licence or "").rstrip("\n"), made, more.strip("\n")]
     parts.append(f"## Recipe of the first scene\n\n```json\n{recipe}\n```")
@@ -98,7 +88,7 @@ def header(kind: str, bundles: Sequence[Bundle], folder: Path, command: str, lic
         "license": licence,
         "pretty_name": ", ".join(names),
         "task_categories": ["robotics"],
-        "size_categories": [next((name for most, name in SIZE_CATEGORIES if total < most), LARGEST_SIZE_CATEGORY)],
+        "size_categories": [next((v for most, v in SIZE_CATEGORIES.items() if total < most), LARGEST_SIZE_CATEGORY)],
         "tags": ["tactile", "simulation", *sensors, *(["LeRobot"] if kind == "lerobot" else [])],
     }
     splits = [{"name": n, "num_bytes": round(size * k / total), "num_examples": k} for n, k in frames.items()]
@@ -137,11 +127,8 @@ def _files(kind: str, folder: Path, splits: Sequence[str]) -> list[dict[str, Any
     """Where the files of each split are; empty if the hub's library cannot read them."""
     if kind == "lerobot":
         return [{"split": name, "path": paths} for name, paths in lerobot.split_files(folder).items()]
-    return (
-        [{"split": name, "path": SPLIT_FILE_PATTERNS[kind].format(name)} for name in splits]
-        if kind in SPLIT_FILE_PATTERNS
-        else []
-    )
+    pattern = SPLIT_FILE_PATTERNS.get(kind)
+    return [{"split": name, "path": pattern.format(name)} for name in splits] if pattern else []
 
 
 def _columns(folder: Path) -> list[dict[str, Any]]:

@@ -1,15 +1,52 @@
-"""Progress of a run on stderr: a bar with the remaining time on a terminal, plain lines elsewhere or with NO_COLOR."""
+"""Progress on stderr, of a run and of a long command's steps: a bar with the time left on a terminal, lines elsewhere
+or with NO_COLOR.
+"""
 
+import os
+import sys
 import time
 from collections.abc import Iterable
-from typing import Any, TextIO
+from typing import Any, Self, TextIO
 
 from tacgen.base.errors import printable
 from tacgen.base.terminal import dropping
 from tacgen.report.sheet import duration
-from tacgen.report.terminal_bar import TerminalBar
 
 COMPILING = "compiling: half a minute, once for this version on this machine"
+HOLD_UPS = {"compiling": COMPILING}  # events that hold up the next frame and happen once, and what is said of them
+HOLD_UPS["tracing"] = "tracing light through the gel: seconds to minutes, once for this sensor and quality"
+MIN_LINE_INTERVAL_S = 2.0  # least time between two lines, and before the first, where there is no terminal [s]
+MIN_SHARE_FOR_ESTIMATE = 0.05  # of the work, from which the time left is estimated
+
+
+class TerminalBar:
+    """Shows a bar while its block runs, where the stream is a terminal; what the stream does not take is dropped."""
+
+    def __init__(self, stream: TextIO | None, total: float, counted: str = "") -> None:
+        """`counted`: what is done of the total is shown as a number of these."""
+        self.stream = stream or sys.stderr
+        self.total, self.counted = total, counted
+        self.bar: Any = None
+        self.task: Any = None
+
+    def __enter__(self) -> Self:
+        if self.stream.isatty() and not os.environ.get("NO_COLOR"):
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+            counts = (MofNCompleteColumn(), TextColumn(self.counted)) if self.counted else ()
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), *counts)
+            left = (TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+            self.bar = Progress(*columns, *left, console=Console(file=self.stream), transient=True)
+            self.task = self.bar.add_task("starting", total=self.total, left="")
+            with dropping(self.stream):
+                self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            with dropping(self.stream):
+                self.bar.stop()
 
 
 class Progress(TerminalBar):
@@ -47,12 +84,11 @@ class Progress(TerminalBar):
                 self.ahead.add(name)
             self.under_way[name] = event["frame"]
             self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
-        elif event["event"] == "compiling":
-            self._measure_again()
-            self._say_once(COMPILING)
-        elif event["event"] == "tracing":
-            self._measure_again()
-            self._say_once("tracing light through the gel: seconds to minutes, once for this sensor and quality")
+        elif event["event"] in HOLD_UPS:
+            # the time left is estimated from later frames alone
+            self.ahead, self.measured = set(), False
+            self.unmeasured = self.done + sum(self.under_way.values())
+            self._say_once(HOLD_UPS[event["event"]])
         elif event["event"] == "note":
             self._say_once(f"note: {event['note']}", name)
         elif event["event"] == "retry":
@@ -70,11 +106,6 @@ class Progress(TerminalBar):
             state = "kept" if before and good else f"kept, {event['status']}" if before else event["status"]
             text = f"{name}: {state}" + (f": {event['reason']}" if event["reason"] else "")
             self._say(text, lasting=not good)
-
-    def _measure_again(self) -> None:
-        """Estimate the time left from later frames alone: what holds up the next one happens once."""
-        self.ahead, self.measured = set(), False
-        self.unmeasured = self.done + sum(self.under_way.values())
 
     def _say_once(self, text: str, scene: str = "") -> None:
         """Print a line that holds for all scenes of a run only once."""
@@ -100,3 +131,24 @@ class Progress(TerminalBar):
         if made <= 0 or frames >= self.total:
             return ""
         return f"about {duration((time.monotonic() - self.started) * (self.total - frames) / made)} left"
+
+
+class StepProgress(TerminalBar):
+    """Shows what goes on, and the share of the work that is done."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        super().__init__(stream, 1.0)
+        self.started = self.last_line = time.monotonic()
+
+    def __call__(self, text: str, share: float) -> None:
+        """Show a step, and the share of the work that is done, from 0 to 1."""
+        now, text = time.monotonic(), printable(text)
+        left = ""
+        if MIN_SHARE_FOR_ESTIMATE <= share < 1:
+            left = f"about {duration((now - self.started) * (1 - share) / share)} left"
+        with dropping(self.stream):
+            if self.bar is not None:
+                self.bar.update(self.task, completed=share, description=text, left=left)
+            elif now - self.last_line >= MIN_LINE_INTERVAL_S:
+                self.last_line = now
+                print(text + (f" ({left})" if left else ""), file=self.stream, flush=True)

@@ -20,10 +20,7 @@ from tacgen.report.sheet import counted, short
 
 MAX_SCENE_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
 PICTURE_WIDTH_PX = 240  # of a scene in a list [px]
-PAGE_POLICY = (
-    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: "
-    "https:"
-)
+PAGE_POLICY = f"{viewer.VIEWER_POLICY}; frame-src file: http: https:"
 
 
 def write_pages(bundles: Iterable[Bundle], page: Path, *, in_3d: bool) -> dict[str, str]:

@@ -22,9 +22,10 @@ class Value(NamedTuple):
     default: bool  # the file does not give it
 
 
-def unit_of(key: str) -> str:
-    """The unit that a key names at its end, `mm` of width_mm; "" where it names none."""
-    return next((unit for end, unit in KEY_UNITS.items() if key.endswith(end)), "")
+def name_and_unit(key: str) -> tuple[str, str]:
+    """The words of a key, and the unit that it names at its end: `size x`, `mm` of size_x_mm; "" where it has none."""
+    end = next((end for end in KEY_UNITS if key.endswith(end)), "")
+    return key.removesuffix(end).strip("_").replace("_", " "), KEY_UNITS.get(end, "")
 
 
 def values(part: Part, path: KeyPath = ()) -> Iterator[Value]:
@@ -37,7 +38,7 @@ def values(part: Part, path: KeyPath = ()) -> Iterator[Value]:
         inner += [((*path, name), value)] if isinstance(value, Part) else parts
         if name == "source" or value is None or isinstance(value, Part) or parts:
             continue
-        yield Value((*path, name), value, unit_of(name), source, name not in part.model_fields_set)
+        yield Value((*path, name), value, name_and_unit(name)[1], source, name not in part.model_fields_set)
     for where, other in inner:
         yield from values(other, where)
 

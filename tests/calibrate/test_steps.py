@@ -15,8 +15,8 @@ from tacgen.base.errors import UserError
 from tacgen.calibrate import contrast_fit, dent_family, photometric_fit, steps
 from tacgen.calibrate.dent_tables import DENT_RADII, Dents
 from tacgen.render.images import Renderer
-from tacgen.report import step_progress
-from tacgen.report.step_progress import StepProgress
+from tacgen.report import progress
+from tacgen.report.progress import StepProgress
 from tacgen.sensor.model import LitSensor
 
 
@@ -55,7 +55,7 @@ def test_a_part_that_fails_in_a_worker_is_told_in_one_line(monkeypatch: pytest.M
 
 def test_steps_are_lines_with_the_time_left_where_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter([0.0, 1.0, 10.0, 10.5, 30.0])
-    monkeypatch.setattr(step_progress.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
     out = io.StringIO()
     with StepProgress(out) as shown:
         for text, share in (("soon", 0.0), ("a", 0.25), ("too soon after it", 0.3), ("b", 0.75)):

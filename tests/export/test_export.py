@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from helpers.command import refused, tacgen_, told
 from helpers.needs import needs
 from helpers.synthetic import write
-from typer.testing import CliRunner
 
 from tacgen import export as exporting
 from tacgen.base.errors import UserError
@@ -22,10 +22,8 @@ Array = np.ndarray
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
     """A folder with a finished scene, another of the same name, and a rejected one."""
-    for name in ("one", "two", "none"):
-        (tmp_path / "in" / name).mkdir(parents=True)
-    write(tmp_path / "in" / "one" / "scene.h5", edit=_tell_components_apart)
-    write(tmp_path / "in" / "two" / "scene.h5", edit=_tell_components_apart)
+    for name in ("one", "two"):
+        write(tmp_path / "in" / name / "scene.h5", edit=_tell_components_apart)
     write(tmp_path / "in" / "none" / "scene.h5", stop=3)
     return tmp_path / "in"
 
@@ -41,10 +39,8 @@ def vtkhdf(source: Path, tmp_path: Path) -> Path:
 
 
 def test_the_command_writes_a_file_a_scene(source: Path, tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli.app, ["export", "vtkhdf", str(source), "-o", str(tmp_path / "out"), "--merge"])
-    assert done.exit_code == 0, done.output
     made = [tmp_path / "out" / f"{name}-scene.vtkhdf" for name in ("one", "two")]
-    assert done.stdout.split() == [str(path) for path in made]
+    assert told("export", "vtkhdf", source, "-o", tmp_path / "out", "--merge").split() == [*map(str, made)]
     assert sorted((tmp_path / "out").glob("[!.]*")) == made
 
 
@@ -55,14 +51,12 @@ def test_the_help_names_every_format() -> None:
 
 def test_what_cannot_be_exported_is_reported_in_one_line(source: Path, tmp_path: Path) -> None:
     for args, words in (
-        (("excel", str(source)), f"excel: unknown format; there are: {', '.join(EXPORTERS)}"),
-        (("vtkhdf", str(tmp_path / "no")), "no such file or folder"),
-        (("vtkhdf", str(source / "none")), "no finished scene to export"),
+        (("excel", source), f"excel: unknown format; there are: {', '.join(EXPORTERS)}"),
+        (("vtkhdf", tmp_path / "no"), "no such file or folder"),
+        (("vtkhdf", source / "none"), "no finished scene to export"),
     ):
-        done = CliRunner().invoke(cli.app, ["export", *args, "-o", str(tmp_path / "out")])
-        assert done.exit_code == 2
-        assert len(done.stderr.splitlines()) == 1
-        assert words in done.stderr
+        (line,) = refused("export", *args, "-o", tmp_path / "out").splitlines()
+        assert words in line
     bare = write(tmp_path / "bare.h5", outputs=frozenset({"force"}))
     with pytest.raises(UserError, match="has no /mesh/points: the recipe's outputs need stress"):
         export("vtkhdf", bare, tmp_path / "out")
@@ -70,7 +64,7 @@ def test_what_cannot_be_exported_is_reported_in_one_line(source: Path, tmp_path:
 
 
 def test_vtkhdf_is_laid_out_as_specified(vtkhdf: Path, source: Path) -> None:
-    frames = read(source / "one" / "scene.h5").frames
+    bundle = read(source / "one" / "scene.h5")
     with h5py.File(vtkhdf) as file:
         root = file["VTKHDF"]
         assert root.attrs["Type"] == b"UnstructuredGrid"
@@ -79,13 +73,12 @@ def test_vtkhdf_is_laid_out_as_specified(vtkhdf: Path, source: Path) -> None:
         assert root["Connectivity"].shape == (8,)
         assert root["Offsets"][:].tolist() == [0, 8]
         assert root["Types"][:].tolist() == [12]
-        assert root["Steps"].attrs["NSteps"] == frames
-        bundle = read(source / "one" / "scene.h5")
+        assert root["Steps"].attrs["NSteps"] == bundle.frames
         assert np.array_equal(root["Points"], bundle["/mesh/points"])
         assert np.array_equal(root["PointData/displacement"], bundle["/fields/displacement"].reshape(-1, 3))
         voigt = bundle["/fields/nodal_stress"].reshape(-1, 6)
         assert np.array_equal(root["PointData/stress"], voigt[:, [0, 1, 2, 5, 3, 4]])
-        assert root["Steps/PointDataOffsets/displacement"][:].tolist() == [8 * k for k in range(frames)]
+        assert root["Steps/PointDataOffsets/displacement"][:].tolist() == [8 * k for k in range(bundle.frames)]
 
 
 def test_vtkhdf_gives_the_same_bytes_twice(source: Path, vtkhdf: Path, tmp_path: Path) -> None:
@@ -126,6 +119,6 @@ def test_splits_without_scenes_are_told(source: Path, tmp_path: Path, monkeypatc
     assert divided == set(exporting.SPLIT_FORMATS)
     monkeypatch.setattr(exporting, "import_module", lambda _: SimpleNamespace(write=lambda bundles, out: []))
     for kind in ("zarr", "vtkhdf"):
-        done = CliRunner().invoke(cli.app, ["export", kind, str(source), "-o", str(tmp_path / kind), "--merge"])
+        done = tacgen_("export", kind, source, "-o", tmp_path / kind, "--merge")
         said = "warning: no scene for the split val and test, of 2: make more before scores are compared\n"
         assert (done.exit_code, done.stderr) == (0, said if kind == "zarr" else ""), done.output

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.small import block, dense, distorted, slope, tetrahedral, turn, whole
+from helpers.small import block, dense, distorted, slope, standing, tetrahedral, turn, whole
 
 from fem.test_jacobian import CUBE, FOLDED, HEX
 from tacgen.fem.assembly import Pattern, pattern
@@ -126,9 +126,7 @@ def test_of_many_elements_only_those_that_are_squeezed_count(nodes: int) -> None
     points, cells = block(2, 0.1)
     if nodes == 10:
         points, cells = tetrahedral(points, cells, nodes)
-    free = np.ones((len(points), 3), bool)
-    free[points[:, 2] == 0] = False
-    pat = pattern([cells], free)
+    pat = pattern([cells], standing(points))
     energy = FoldingBarrier.on(pat, points, elements(points, cells), MU)
     x = points.copy()
     assert np.abs(points[13] - 0.5).max() <= 0.05

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers.minimiser import minimise
-from helpers.small import block, dense, distorted, slope, tetrahedral, turn, whole
+from helpers.small import block, dense, distorted, hexes, slope, standing, tetrahedral, turn, whole
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
@@ -20,15 +20,8 @@ HEIGHT, LAYERS = 4.0, 10
 
 def column(axis: int) -> tuple[Elastic, Pattern, Array]:
     """A column on a bonded base that can move along one axis only, which leaves its shear or its pressure wave."""
-    points, cells = block(1)
-    number = np.arange(4 * (LAYERS + 1)).reshape(2, 2, LAYERS + 1)
-    points = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], np.linspace(0, HEIGHT, LAYERS + 1), indexing="ij"), -1)
-    points = points.reshape(-1, 3)
-    corner = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    cells = np.array([[number[a, b, k + c] for a, b, c in corner] for k in range(LAYERS)])
-    free = np.zeros((len(points), 3), bool)
-    free[points[:, 2] > 0, axis] = True
-    pat = pattern([cells], free)
+    points, cells = hexes([0.0, 1.0], [0.0, 1.0], np.linspace(0, HEIGHT, LAYERS + 1))
+    pat = pattern([cells], standing(points) & (np.arange(3) == axis))
     return Elastic.on(pat, elements(points, cells), LAW), pat, points
 
 

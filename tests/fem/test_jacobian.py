@@ -4,9 +4,10 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.small import hexes, tetrahedral
 
 from tacgen.fem import jacobian
-from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric, boxes, quadratic
+from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
 from tacgen.fem.jacobian import least_jacobian
 from tacgen.fem.mesh_quality import nodal_volume, scaled_jacobian
 
@@ -27,14 +28,8 @@ SWOLLEN[4:] = np.array([[7, -1, -3], [2, 7, -2], [0, 5, 1], [2, 2, 4], [6, -3, 2
 
 def mesh(nodes: int, n: int = 2) -> tuple[Array, ...]:
     """A unit cube of n^3 boxes, none like another, or of six times as many tets around their diagonals (Kuhn)."""
-    ticks = np.linspace(0, 1, n + 1) ** 1.5
-    points = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
-    cells = boxes(np.arange(len(points)).reshape(n + 1, n + 1, n + 1)).reshape(-1, 8)
-    if nodes == 8:
-        return points, cells
-    ways = [(0, a, b, 6) for a, b in ((1, 2), (5, 1), (4, 5), (7, 4), (3, 7), (2, 3))]
-    tets = np.concatenate([cells[:, way] for way in ways])
-    return quadratic(points, tets) if nodes == 10 else (points, tets)
+    points, cells = hexes(*[np.linspace(0, 1, n + 1) ** 1.5] * 3)
+    return (points, cells) if nodes == 8 else tetrahedral(points, cells, nodes)
 
 
 def gradients(nodes: int, at: Array) -> Array:

@@ -46,9 +46,8 @@ def layer(law: str) -> Layer:
 
 def uniaxial(law: Law, stretch: float) -> tuple[float, float]:
     """Axial first Piola stress [MPa] and the free lateral stretch of a bar."""
-    cube = Elements(
-        np.arange(4)[None], np.array([[[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]])[None], ONE, 0.0, ONE
-    )
+    gradients = np.array([[[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]])[None]
+    cube = Elements(np.arange(4)[None], gradients, ONE, 0.0, ONE)
 
     def stress(lateral: float) -> Array:
         x = np.concatenate([np.zeros((1, 3)), np.diag([stretch, lateral, lateral])])

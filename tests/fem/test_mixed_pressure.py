@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.small import block, dense, full, tetrahedral
+from helpers.small import block, dense, full, standing, tetrahedral
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
@@ -26,9 +26,7 @@ def held_block(nu: float, nodes: int = 8, n: int = 3) -> tuple[Elastic, Array, P
     points, cells = block(n, 0.1)
     if nodes != 8:
         points, cells = tetrahedral(points, cells, nodes)
-    free = np.ones((len(points), 3), bool)
-    free[(points[:, 2] == 0) | (points[:, 2] == 1)] = False
-    pat = pattern([cells], free)
+    pat = pattern([cells], standing(points) & (points[:, 2:] != 1))
     return Elastic.on(pat, elements(points, cells), NeoHooke(MU, bulk_modulus(nu))), points, pat
 
 

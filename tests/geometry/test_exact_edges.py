@@ -5,13 +5,11 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from helpers.meshes import ball, box
+from helpers.meshes import ball, box, differences, field_of
 
 from benchmarks import sharp
-from tacgen.geometry import mesh_import
-from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, WedgeSdf
+from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, WedgeSdf
 from tacgen.geometry.exact_edges import SharpField
-from tacgen.geometry.mesh_file import SolidMesh
 from tacgen.geometry.sdf_grid import Field
 from tacgen.physics.edges import MAX_CONTACT_RADII
 
@@ -20,11 +18,6 @@ RADIUS, CELL = 0.02, 0.15
 HALF = math.radians(15)
 
 pytestmark = pytest.mark.usefixtures("own_cache")
-
-
-def field(mesh: trimesh.Trimesh, cell: float = CELL) -> Field:
-    solid = SolidMesh("test", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))
-    return mesh_import.field(mesh_import.placed(solid), cell=cell, height=1.5, half=30.0, radius=RADIUS)
 
 
 def around(low: float, high: float, count: int = 2000) -> Array:
@@ -46,10 +39,9 @@ OPENED = {
 def test_distance_normal_and_curvature_are_the_opened_bodys(name: str) -> None:
     """On cells seven times as long as its radius; everywhere that contact can act."""
     mesh, closed_form, recedes, off = OPENED[name]
-    found, p = field(mesh), around(-0.1, 0.5)
+    found, p = field_of(mesh, CELL), around(-0.1, 0.5)
     assert isinstance(found, SharpField)
-    shape: Shape = closed_form
-    d, n, H = shape.distance(p - [0, 0, recedes])
+    d, n, H = closed_form.distance(p - [0, 0, recedes])
     near = (np.abs(d) < RADIUS * 0.99) & (np.abs(p[:, 1]) < 3)
     assert near.sum() > 50
     got, slope, bend = (part[near] for part in found.distance(p))
@@ -70,13 +62,11 @@ SHAPES = [lambda: sharp.wedge(15), lambda: sharp.block((4, 4, 4), (1, 1, 1)), tu
 @pytest.mark.parametrize("make", SHAPES)
 def test_gradient_and_hessian_are_slopes(make) -> None:
     """Also where the exact distance passes into the spline."""
-    found, p, h = field(make()), around(-0.2, 0.8, 3000), 1e-6
+    found, p, h = field_of(make(), CELL), around(-0.2, 0.8, 3000), 1e-6
     p = p[found.value(p) < MAX_CONTACT_RADII / 2 * RADIUS]  # farther away nothing needs them
     assert len(p) > 50
     _, g, H = found.distance(p)
-    steps = h * np.eye(3)
-    slopes = np.stack([(found.value(p + s) - found.value(p - s)) / (2 * h) for s in steps], 1)
-    bends = np.stack([(found.gradient(p + s)[1] - found.gradient(p - s)[1]) / (2 * h) for s in steps], 2)
+    slopes, bends = differences(found, p, h)
     smooth = np.linalg.norm(bends - H, axis=(1, 2)) < 1  # the distance bends at once behind an edge's last face
     assert smooth.mean() > 0.97
     off = np.abs(g - slopes).max(1)
@@ -87,16 +77,16 @@ def test_gradient_and_hessian_are_slopes(make) -> None:
 
 
 def test_a_smooth_body_stays_a_spline() -> None:
-    assert type(field(ball(4))) is Field
+    assert type(field_of(ball(4), CELL)) is Field
 
 
 def test_a_tip_is_found_where_no_edge_is_sharp() -> None:
     """The sides of a cone of 64 triangles meet at 4 deg."""
-    found = field(sharp.cone(40))
+    found = field_of(sharp.cone(40), CELL)
     assert found.smallest_radius == pytest.approx(RADIUS)
     assert found.convex is not None
     assert np.abs(found.convex.tips - [0, 0, 0]).sum(1).min() == pytest.approx(0, abs=1e-9)
-    assert field(ball(4)).smallest_radius > 3
+    assert field_of(ball(4), CELL).smallest_radius > 3
     beside = found.convex.smallest(lambda at: (at[:, 2] > 0.3) & (at[:, 2] < 4))
     assert beside > 10 * RADIUS  # that part of the cone is smooth
 
@@ -105,10 +95,7 @@ def test_overlapping_bodies_are_one() -> None:
     """Edges of one that lie inside the other are no surface."""
     block, other = box(2, 2, 2), box(2, 2, 2)
     other.apply_translation([0.3, 0.3, 0])
-    both = trimesh.util.concatenate([block, other])
-    body = np.repeat([0, 1], len(block.faces))
-    solid = mesh_import.placed(SolidMesh("two", np.asarray(both.vertices), np.asarray(both.faces), body))
-    found = mesh_import.field(solid, cell=0.1, height=1.5, half=30.0, radius=RADIUS)
+    found = field_of(trimesh.util.concatenate([block, other]), 0.1, 2)
     inner = np.array([[0.85, 0.85, 0.15], [-0.85, -0.85, 0.15]])  # beside a vertical edge of the other body
     assert (found.value(inner) < -0.1).all()
     floor = np.column_stack([np.linspace(-0.9, 0.9, 30), np.linspace(-0.9, 0.9, 30), np.full(30, -0.01)])
@@ -117,7 +104,7 @@ def test_overlapping_bodies_are_one() -> None:
 
 def test_beside_a_crease_the_normal_turns_and_does_not_jump() -> None:
     """Around the rim of a tube's bore, as close as contact comes; without that the solver zigzags across the crease."""
-    found = field(tube())
+    found = field_of(tube(), CELL)
     turn = np.linspace(0, np.pi, 20_001)
     for radius, z in ((0.24, 0.3), (0.242, -0.006)):
         ring = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(len(turn), z)])

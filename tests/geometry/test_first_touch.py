@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.command import refused
 from helpers.flanged_rod import flanged
 from helpers.small_recipe import HEAD
-from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
-from tacgen.cli import main as cli
 from tacgen.geometry import first_touch, mesh_file, mesh_import
 from tacgen.geometry.analytic_sdf import BoxSdf, CapsuleSdf, ConeSdf, CylinderSdf, SphereSdf, TorusSdf, WedgeSdf
 from tacgen.geometry.outline import Pad
@@ -90,13 +89,10 @@ def test_the_flange_of_a_rod_is_beside_the_pad(tmp_path: Path) -> None:
     for yaw in (0.0, 25.0):
         assert first_touch.contact_height(shape, pad, pose(yaw_deg=yaw)) == pytest.approx(-5.0, abs=1e-9)
     assert first_touch.contact_height(shape, pad, pose(x=-9.0)) == pytest.approx(-5.0, abs=1e-9)
-    with_flange = first_touch.contact_height(shape, Pad(60.0, 14.3), pose())
-    assert with_flange == 0.0
+    assert first_touch.contact_height(shape, Pad(60.0, 14.3), pose()) == 0.0
     tilt = np.radians(3.0)
-    leaning = first_touch.contact_height(shape, pad, pose(3.0))
-    exact = 9.0 / np.cos(tilt) - 4.0 / np.cos(tilt) + 0.0  # below the axis at x = 0, less what the rim is lower
-    assert leaning == pytest.approx(-9.0 * np.cos(tilt) + (4 / np.cos(tilt) + (9.3 - 9 * np.sin(tilt)) * np.tan(tilt)),
-                                    abs=1e-6), exact  # fmt: skip
+    exact = -9.0 * np.cos(tilt) + 4 / np.cos(tilt) + (9.3 - 9 * np.sin(tilt)) * np.tan(tilt)
+    assert first_touch.contact_height(shape, pad, pose(3.0)) == pytest.approx(exact, abs=1e-6)
     dome = Pad(18.6, 14.3, radii=(200.0, 200.0))
     assert first_touch.contact_height(shape, dome, pose()) == pytest.approx(-5.0, abs=0.05)
 
@@ -154,15 +150,11 @@ def test_a_movement_may_lower_what_is_beside_the_pad(tmp_path: Path) -> None:
 
 def test_what_can_never_touch_is_refused_before_the_run(tmp_path: Path) -> None:
     ring = "{shape: torus, radius_mm: 30.0, tube_radius_mm: 2.0}"
-    path = recipe(tmp_path, "press: {depth_mm: 0.6, frames: 1}", ring)
-    done = CliRunner().invoke(cli.app, ["validate", str(path)])
-    assert done.exit_code == 2
-    assert "trajectory[0].press: nothing of the indenter is over the gel" in done.stderr.splitlines()[0]
-    drawn = trimesh.creation.annulus(30.0, 34.0, 4.0)
+    said = refused("validate", recipe(tmp_path, "press: {depth_mm: 0.6, frames: 1}", ring)).splitlines()[0]
+    assert "trajectory[0].press: nothing of the indenter is over the gel" in said
     path = recipe(tmp_path, "press: {force_n: 1, frames: 1}")
-    drawn.export(tmp_path / "drawn.stl")
-    done = CliRunner().invoke(cli.app, ["validate", str(path)])
-    assert (done.exit_code, "nothing of the indenter is over the gel" in done.stderr) == (2, True), done.output
+    trimesh.creation.annulus(30.0, 34.0, 4.0).export(tmp_path / "drawn.stl")
+    assert "nothing of the indenter is over the gel" in refused("validate", path)
     with pytest.raises(UserError, match="nothing of the indenter is over the gel"):
         scene_of_row.build(plan.load(path).rows[0])
 
@@ -185,6 +177,5 @@ def test_a_wide_body_is_touched_before_the_neck_whose_corners_are_over_the_pad()
     neck.apply_translation((20, 0, 0))
     bottle, pose = trimesh.util.concatenate([body, neck]), np.eye(4)
     pose[:3, 3] = -5.0, 0.0, 12.0
-    assert first_touch.least_over(bottle.vertices, bottle.faces, Pad(30.0, 20.0, 0.0), pose) == pytest.approx(
-        0.0, abs=1e-9
-    )
+    least = first_touch.least_over(bottle.vertices, bottle.faces, Pad(30.0, 20.0, 0.0), pose)
+    assert least == pytest.approx(0.0, abs=1e-9)

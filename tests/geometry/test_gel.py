@@ -54,10 +54,9 @@ def turned(profile: list[tuple[float, float]], n: int = 24) -> trimesh.Trimesh:
     angle = np.arange(n) * 2 * np.pi / n
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(n, z)]) for r, z in profile]
     ends = [[0, 0, profile[0][1]], [0, 0, profile[-1][1]]]
-    k, after = np.arange(n), (np.arange(n) + 1) % n
-    low, high = n * len(rings), n * len(rings) + 1
-    faces = [np.stack([np.full(n, low), after, k], 1), np.stack([k, after, np.full(n, high) - n * (len(rings) - 1)], 1)]
-    faces[1] = np.stack([k + n * (len(rings) - 1), after + n * (len(rings) - 1), np.full(n, high)], 1)
+    k, after, last = np.arange(n), (np.arange(n) + 1) % n, n * (len(rings) - 1)
+    low, high = np.full(n, last + n), np.full(n, last + n + 1)
+    faces = [np.stack([low, after, k], 1), np.stack([k + last, after + last, high], 1)]
     for i in range(len(rings) - 1):
         a, b, c, d = k + n * i, after + n * i, after + n * (i + 1), k + n * (i + 1)
         faces += [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
@@ -184,13 +183,10 @@ leds:
 @pytest.mark.slow
 def test_pictures_show_the_solid_itself(tmp_path: Path) -> None:
     """Round, not the square of its box; its rim turned from the near light to the far one; as path has it."""
-    found = {
-        method: bundle.read(pipeline.run_scene(plan.load(
-            folder(tmp_path, sensor=ONE_LAYER + LIT),
-            ("outputs=[rgb, radiance]", f"render.method={method}", f"quality.spp={spp}"),
-        ).rows[0], tmp_path / method).path)
-        for method, spp in (("transport", 64), ("path", 100))
-    }  # fmt: skip
+    recipe, found = folder(tmp_path, sensor=ONE_LAYER + LIT), {}
+    for method, spp in (("transport", 64), ("path", 100)):
+        sets = ("outputs=[rgb, radiance]", f"render.method={method}", f"quality.spp={spp}")
+        found[method] = bundle.read(pipeline.run_scene(plan.load(recipe, sets).rows[0], tmp_path / method).path)
     y, x = np.mgrid[:48, :48] * 0.2 - 4.7
     r = np.hypot(x, y)
     for made in found.values():
@@ -284,9 +280,8 @@ def test_what_cannot_be_pressed(
 ) -> None:
     recipe = folder(tmp_path, profile)
     if says is None:  # a ledge under an overhang is no part of the face; a cone in steps is one
-        assert scene_of_row.build(plan.load(recipe, sets).rows[0]).gel.top(np.zeros(1), np.zeros(1)) == pytest.approx(
-            0.0
-        )
+        gel = scene_of_row.build(plan.load(recipe, sets).rows[0]).gel
+        assert gel.top(np.zeros(1), np.zeros(1)) == pytest.approx(0.0)
         return
     with pytest.raises(UserError) as caught:
         scene_of_row.build(plan.load(recipe, sets).rows[0])

@@ -2,12 +2,11 @@
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from helpers.meshes import ball, box, saved, truncated_cone
+from helpers.meshes import ball, box, field_of, saved, solid_of, truncated_cone
 
 from benchmarks import sharp
 from tacgen.base.errors import UserError
@@ -25,17 +24,9 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
 
 
-def solid_of(mesh: trimesh.Trimesh) -> SolidMesh:
-    return SolidMesh("test", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))
-
-
-def field(mesh: trimesh.Trimesh, cell: float, height: float = 1.5) -> Any:
-    return mesh_import.field(mesh_import.placed(solid_of(mesh)), cell=cell, height=height, half=30.0, radius=RADIUS)
-
-
 def test_distance_to_a_fine_ball():
     """The triangles cut at most 1.2 um off; the spline adds less."""
-    found = field(ball(), 0.15)
+    found = field_of(ball(), 0.15)
     rng = np.random.default_rng(0)
     a, b = np.arccos(rng.uniform(0.75, 1, 3000)), rng.uniform(0, 2 * np.pi, 3000)
     n = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), -np.cos(a)], 1)
@@ -50,7 +41,7 @@ def test_distance_to_a_fine_ball():
 
 def test_distance_to_a_block():
     """Faces are exact, and edges but for their radius."""
-    found = field(box(6, 6, 4), 0.1)
+    found = field_of(box(6, 6, 4), 0.1)
     rng = np.random.default_rng(1)
     p = np.column_stack([rng.uniform(-2.4, 2.4, (2000, 2)), rng.uniform(-0.2, 0.1, 2000)])
     assert found.distance(p)[0] == pytest.approx(-p[:, 2], abs=1e-6)
@@ -61,7 +52,7 @@ def test_distance_to_a_block():
 
 
 def test_a_wall_thinner_than_the_cell_gets_a_finer_grid():
-    assert field(box(6, 6, 0.3), 0.15).cell == pytest.approx(0.05)
+    assert field_of(box(6, 6, 0.3), 0.15).cell == pytest.approx(0.05)
 
 
 def slivered(mesh: trimesh.Trimesh, height: float) -> trimesh.Trimesh:
@@ -80,7 +71,7 @@ def slivered(mesh: trimesh.Trimesh, height: float) -> trimesh.Trimesh:
 
 @pytest.mark.parametrize("height", [1e-4, 1e-9])
 def test_slivers_change_no_distance(height: float):
-    clean, bad = field(ball(2), 0.3), field(slivered(ball(2), height), 0.3)
+    clean, bad = field_of(ball(2), 0.3), field_of(slivered(ball(2), height), 0.3)
     x = np.random.default_rng(1).normal(size=(200, 3)) * 2 + [0, 0, 4]
     assert bad.distance(x)[0] == pytest.approx(clean.distance(x)[0], abs=1e-3)
 
@@ -100,12 +91,12 @@ def test_the_sign_is_right_beside_slivers(cell: float):
     off = np.abs(true) > 1e-3
     assert ((found < 0) == (true < 0))[off].all()
     assert found[true < 0] == pytest.approx(true[true < 0], abs=1e-3)
-    field(cone, cell)
+    field_of(cone, cell)
 
 
 def test_a_grid_has_a_bounded_number_of_nodes(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(mesh_import, "MAX_GRID_NODES", 20_000)
-    assert field(ball(2), 0.05).coefficients.size < 60_000
+    assert field_of(ball(2), 0.05).coefficients.size < 60_000
 
 
 @pytest.mark.parametrize(("wall", "dhat", "advice"), [(0.1, 0.05, "0.035"), (0.05, 0.04, "0.02"), (0.05, 0.02, "")])
@@ -133,7 +124,7 @@ def test_a_sharp_edge_is_no_wall_however_fine_its_triangles(mesh: trimesh.Trimes
 def test_a_tube_with_a_wall_as_thin_as_a_cell_keeps_its_inside():
     """Its spline has none."""
     tube, inside = trimesh.creation.annulus(r_min=3.7, r_max=4.0, height=6), np.array([[3.85, 0.0, 0.05]])
-    exact = field(tube, 0.15)
+    exact = field_of(tube, 0.15)
     plain = Field(*(getattr(exact, part.name) for part in fields(Field)))
     assert plain.value(inside)[0] > -0.02
     assert exact.value(inside)[0] == pytest.approx(-0.05, abs=1e-3)
@@ -144,7 +135,7 @@ def test_a_surface_through_itself_is_refused():
     top = mesh.vertices[:, 2] > 0.9
     mesh.vertices[top] -= [0, 0, 2.5]  # the lid pushed out through the floor
     with pytest.raises(UserError, match="cuts through itself"):
-        field(mesh, 0.1)
+        field_of(mesh, 0.1)
 
 
 @pytest.mark.parametrize(
@@ -174,14 +165,14 @@ def test_sizes():
 
 
 def test_distances_are_kept_and_a_damaged_file_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    first = field(ball(3), 0.2)
+    first = field_of(ball(3), 0.2)
     (file,) = (tmp_path / "cache" / "distances").iterdir()
     monkeypatch.setattr(mesh_import, "_distances", lambda *a: pytest.fail("computed again"))
-    assert (field(ball(3), 0.2).coefficients == first.coefficients).all()
+    assert (field_of(ball(3), 0.2).coefficients == first.coefficients).all()
     monkeypatch.undo()
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
     file.write_bytes(file.read_bytes()[:1000])
-    assert (field(ball(3), 0.2).coefficients == first.coefficients).all()
+    assert (field_of(ball(3), 0.2).coefficients == first.coefficients).all()
     assert file.stat().st_size > 1000
 
 

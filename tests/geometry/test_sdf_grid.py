@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.meshes import differences
 
 from tacgen.geometry.sdf_grid import Field
 
@@ -19,9 +20,9 @@ def ball(p: Array) -> Array:
     return np.linalg.norm(p - [0, 0, R], axis=-1) - R
 
 
-def block(p: Array) -> Array:
-    """Box of 6 x 6 x 4 mm standing on z = 0."""
-    q = np.abs(p - [0, 0, 2]) - [3, 3, 2]
+def block(p: Array, half: float = 3) -> Array:
+    """Box of 6 mm by twice `half` by 4 mm standing on z = 0."""
+    q = np.abs(p - [0, 0, 2]) - [3, half, 2]
     return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
 
 
@@ -41,11 +42,9 @@ def near_ball(count: int, depth: float, seed: int = 0) -> Array:
 def test_gradient_and_hessian_are_slopes(field: Field):
     p = np.random.default_rng(1).uniform([-3.8, -3.8, -0.4], [3.8, 3.8, 2.5], (400, 3))
     _, g, H = field.distance(p)
-    e = 1e-5
-    for a in range(3):
-        up, down = field.distance(p + e * np.eye(3)[a]), field.distance(p - e * np.eye(3)[a])
-        assert g[:, a] == pytest.approx((up[0] - down[0]) / (2 * e), abs=1e-8)
-        assert H[:, a] == pytest.approx((up[1] - down[1]) / (2 * e), abs=2e-3)  # third derivatives jump between cells
+    slopes, bends = differences(field, p, 1e-5)
+    assert g == pytest.approx(slopes, abs=1e-8)
+    assert pytest.approx(bends, abs=2e-3) == H  # third derivatives jump between cells
     assert np.abs(H).max() > 0.2
 
 
@@ -68,9 +67,7 @@ def test_a_flat_face_is_flat_up_to_some_cells_from_its_edge(cells: float, error:
 
 
 def test_an_edge_is_rounded_by_less_than_half_a_cell():
-    t = np.linspace(-2, 2, 41)
-    edge = np.column_stack([np.full(41, 3.0), t, np.zeros(41)])
-    d = BLOCK.distance(edge)[0]
+    d = BLOCK.value(np.column_stack([np.full(41, 3.0), np.linspace(-2, 2, 41), np.zeros(41)]))
     assert d.min() > 0.0  # rounded off, not sharpened
     assert d.max() < 0.5 * BLOCK.cell
 
@@ -82,18 +79,12 @@ def test_outside_the_grid_the_distance_is_continuous_and_never_too_large():
     assert (d <= ball(p) + 2e-3).all()
     out = np.abs(p).max(1) > 4.7
     assert (d[out] > 0.3).all()
-    e = 1e-6
-    for a in range(3):
-        slope = (BALL.distance(p + e * np.eye(3)[a])[0] - BALL.distance(p - e * np.eye(3)[a])[0]) / (2 * e)
-        assert g[:, a] == pytest.approx(slope, abs=1e-6)
+    assert g == pytest.approx(differences(BALL, p, 1e-6)[0], abs=1e-6)
 
 
 def test_reach_is_half_the_thinnest_wall():
-    def plate(p: Array) -> Array:
-        q = np.abs(p - [0, 0, 2]) - [3, 0.5, 2]
-        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
-
-    assert field_of(plate, [-4, -1, -1], [4, 1, 3], 0.1).reach == pytest.approx(0.5, abs=0.06)
+    plate = field_of(lambda p: block(p, 0.5), [-4, -1, -1], [4, 1, 3], 0.1)
+    assert plate.reach == pytest.approx(0.5, abs=0.06)
     assert BLOCK.reach == pytest.approx(2.0, abs=0.1)
 
 

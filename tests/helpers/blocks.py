@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from helpers.presses import Run
+from helpers.small import hexes
 from tacgen import mechanics
-from tacgen.fem.elements import boxes
 from tacgen.mechanics.mesh import GelMesh, graded
 from tacgen.mechanics.scene import Scene
 
@@ -15,13 +15,9 @@ Array = np.ndarray
 
 def block(x: Array, y: Array, z: Array) -> GelMesh:
     """Hexes on a tensor grid, z upwards and ending at 0."""
-    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
-    hexes = boxes(np.arange(len(points)).reshape(len(x), len(y), len(z)))
-    facets = {
-        "bonded": hexes[:, :, 0].reshape(-1, 8)[:, [0, 3, 2, 1]],
-        "coated": hexes[:, :, -1].reshape(-1, 8)[:, [4, 5, 6, 7]],
-    }
-    cells = hexes.reshape(-1, 8)
+    points, cells = hexes(x, y, z)
+    layers = cells.reshape(-1, len(z) - 1, 8)
+    facets = {"bonded": layers[:, 0][:, [0, 3, 2, 1]], "coated": layers[:, -1][:, [4, 5, 6, 7]]}
     return GelMesh(points, cells, np.zeros(len(cells), np.int32), facets)
 
 

@@ -43,9 +43,8 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
         "contact": {"friction": 2.0}, "outputs": ["force"], "quality": quality,
         "trajectory": [{"press": {"depth_mm": DEPTHS[name], "frames": 1}}, {"slide": {"x_mm": SHEAR, "frames": 1}}],
     }  # fmt: skip
-    untouched, _, moved = solved_presses.faces(
-        plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows[0]
-    )
+    (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
+    untouched, _, moved = solved_presses.faces(row)
     return sensor, untouched, moved
 
 

@@ -15,13 +15,9 @@ def connections(slab: wp.array(dtype=wp.vec3d), ends: wp.array(dtype=wp.vec3d), 
 
 @wp.kernel(enable_backward=False, module="tests.light_paths")
 def blocked(
-    slab: wp.array(dtype=wp.vec3d),
-    panels: wp.array(dtype=wp.vec3d),
-    ends: wp.array(dtype=wp.vec3d),
-    image: int,
-    ks: wp.array(dtype=real),
-    out: wp.array(dtype=wp.bool),
-):
+    slab: wp.array(dtype=wp.vec3d), panels: wp.array(dtype=wp.vec3d), ends: wp.array(dtype=wp.vec3d), image: int,
+    ks: wp.array(dtype=real), out: wp.array(dtype=wp.bool),
+):  # fmt: skip
     p, source = ends[0], ends[1]
     home, rho = strips.layer_at(slab, source[2]), wp.length(wp.vec2d(source[0] - p[0], source[1] - p[1]))
     ks[0] = strips.arrive(slab, rho, p[2], source[2], home, image).aside * slab[slab.shape[0] - 1][2]
@@ -36,17 +32,10 @@ def reflections(cosines: wp.array(dtype=wp.vec3d), alpha: real, out: wp.array(dt
 
 @wp.kernel(enable_backward=False, module="tests.light_paths")
 def horizons(
-    heights: wp.array(dtype=real),
-    small: wp.array(dtype=real),
-    large: wp.array(dtype=real),
-    extent: wp.array(dtype=real),
-    rows: int,
-    columns: int,
-    wide: real,
-    tall: real,
-    ray: wp.array(dtype=real),
+    heights: wp.array(dtype=real), small: wp.array(dtype=real), large: wp.array(dtype=real),
+    extent: wp.array(dtype=real), rows: int, columns: int, wide: real, tall: real, ray: wp.array(dtype=real),
     out: wp.array(dtype=real),
-):
+):  # fmt: skip
     face = shadows.terrain(extent, 0, rows, columns, wide, tall)
     above, below = wp.vec2d(ray[6], ray[7]), wp.vec2d(ray[8], ray[9])
     out[0] = shadows.horizon(heights, small, large, face, ray[0], ray[1], ray[2], ray[3], ray[4], ray[5], above, below)

@@ -9,9 +9,8 @@ import numpy as np
 from click.testing import Result
 from PIL import Image
 from ruamel.yaml import YAML
-from typer.testing import CliRunner
 
-from tacgen.cli import main as cli
+from helpers.command import tacgen_
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.render import images, mitsuba_variants
@@ -63,7 +62,7 @@ def written(made: Sensor, path: Path) -> Path:
 
 def calibrate(*words: object) -> Result:
     """Run `tacgen calibrate`."""
-    return CliRunner().invoke(cli.app, ["calibrate", *map(str, words)])
+    return tacgen_("calibrate", *words)
 
 
 def refused(done: Result, says: str) -> None:

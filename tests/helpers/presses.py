@@ -60,6 +60,16 @@ def scene(shape: Shape, path: Array, *, pad: GelBody | None = None, friction: fl
     return Scene(pad or gel(), shape, path, start, np.zeros(len(path), int), friction, edge, 0.05)
 
 
+def problem_of(made: Scene, half: float = 2.0, *options: mechanics.SolverOptions) -> mechanics.Problem:
+    """On a mesh of hexes that is fine within `half` [mm] of the middle, to each side."""
+    return mechanics.Problem.of(made, mesh.build(made.gel, (-half, half, -half, half), made.edge), *options)
+
+
+def force(state: mechanics.State) -> Array:
+    """The indenter's (3,) on the gel [N]."""
+    return np.asarray(state.traction_force.sum((0, 1)))
+
+
 def run(made: Scene, footprint: Footprint | None = None, grid: mesh.GelMesh | None = None) -> Run:
     """Solve all frames, on a mesh of hexes that is fine over `footprint` or on the one given."""
     grid = grid or mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
@@ -71,13 +81,9 @@ def thin_plate(side: float = 2.0, thickness: float = 0.1, cell: float = 0.0234) 
     """A plate whose lowest point is at the origin, by its distance on a grid that its thickness spans four times."""
     half = np.array([side, side, thickness]) / 2
     low, high = -half - [4 * cell, 4 * cell, 3 * cell + half[2]], half + 4 * cell
-    counts = np.ceil((high - low) / cell).astype(int)
-    grid = np.stack(
-        np.meshgrid(*(a + cell * np.arange(n) for a, n in zip(low, counts, strict=True)), indexing="ij"), -1
-    )
+    lines = [a + cell * np.arange(n) for a, n in zip(low, np.ceil((high - low) / cell).astype(int), strict=True)]
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), -1)
     q = np.abs(grid) - half
     d = np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (0, 2)]) * half
-    return Field.through(
-        d, low + np.array([0, 0, half[2]]), cell, smallest_radius=2 * cell, corners=corners, blunt=True
-    )
+    return Field.through(d, low + half * (0, 0, 1), cell, smallest_radius=2 * cell, corners=corners, blunt=True)

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacgen.fem.assembly import Pattern, pattern
-from tacgen.fem.elements import HEX_CORNERS, boxes, quadratic
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import HEX_CORNERS, boxes, elements, quadratic
+from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Potential, Projection
 from tacgen.mechanics.barrier import Faces
 
@@ -50,11 +52,16 @@ def turn(seed: int) -> Array:
     return np.asarray(q * np.linalg.det(q))
 
 
+def hexes(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """Points and hexes of a grid of these coordinates."""
+    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1)
+    number = np.arange(points[..., 0].size).reshape(points.shape[:3])
+    return points.reshape(-1, 3), boxes(number).reshape(-1, 8)
+
+
 def block(n: int, shake: float = 0.0, seed: int = 0) -> tuple[Array, Array]:
     """Points and hexes of a unit cube, n a side; inner nodes are moved by up to shake/n each way."""
-    ticks = np.linspace(0, 1, n + 1)
-    points = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
-    cells = boxes(np.arange(len(points)).reshape(n + 1, n + 1, n + 1)).reshape(-1, 8)
+    points, cells = hexes(*[np.linspace(0, 1, n + 1)] * 3)
     inner = np.all((points > 1e-9) & (points < 1 - 1e-9), axis=1)
     move = np.random.default_rng(seed).uniform(-1, 1, points.shape) * shake / n
     return points + inner[:, None] * move, cells
@@ -69,6 +76,19 @@ def tetrahedral(points: Array, hexes: Array, nodes: int = 10) -> tuple[Array, Ar
     cells[turned] = cells[turned][:, [0, 2, 1, 3]]
     points, cells = quadratic(points, cells) if nodes == 10 else (points, cells)
     return points, cells
+
+
+def standing(points: Array) -> Array:
+    """Which dofs (n, 3) of a body that stands on z = 0 are free."""
+    return np.broadcast_to(points[:, 2:] != 0, points.shape).copy()
+
+
+def stiff(points: Array, cells: Array, free: Array) -> tuple[Pattern, Array]:
+    """The pattern of a body, and its stiffness at rest."""
+    pat = pattern([cells], free)
+    data = np.zeros(len(pat.indices))
+    Elastic.on(pat, elements(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
+    return pat, data
 
 
 def distorted(amount: float = 0.15, seed: int = 1) -> tuple[Array, Array]:

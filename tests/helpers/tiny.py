@@ -8,15 +8,9 @@ PLAIN: dict[str, Any] = {
     "tacgen_sensor": 1,
     "name": "tiny",
     "description": "for tests",
-    "gel": {
-        "width_mm": 12.0,
-        "height_mm": 10.0,
-        "corner_radius_mm": 1.0,
-        "source": "test",
-        "layers": [
-            {"name": "gel", "thickness_mm": 3.0, "youngs_modulus_mpa": 0.3, "poissons_ratio": 0.4, "source": "test"}
-        ],
-    },
+    "gel": {"width_mm": 12.0, "height_mm": 10.0, "corner_radius_mm": 1.0, "source": "test", "layers": [
+        {"name": "gel", "thickness_mm": 3.0, "youngs_modulus_mpa": 0.3, "poissons_ratio": 0.4, "source": "test"},
+    ]},
     "plate": {"thickness_mm": 2.0, "refractive_index": 1.49, "source": "test"},
     "coating": {"albedo": [0.5, 0.4, 0.6], "specular": 0.2, "roughness": 0.4, "source": "test"},
     "walls": {"albedo": 0.05, "source": "test"},

@@ -91,17 +91,16 @@ def lerobot_folder(folder: Path, together: bool = True) -> Path:
     from tacgen.bundle.image_file import encoded
 
     vector = {"dtype": "float32", "shape": [3], "names": ["x", "y", "z"]}
-    features: dict[str, Any] = {"observation.state": vector, "action": vector}
-    size = ["height", "width", "channels"]
-    features["observation.images.front"] = {"dtype": "image", "shape": [8, 8, 3], "names": size}
-    numbers = dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
-    for name, kind in {"timestamp": "float32", **numbers}.items():
-        features[name] = {"dtype": kind, "shape": [1], "names": None}
+    picture = {"dtype": "image", "shape": [8, 8, 3], "names": ["height", "width", "channels"]}
+    features: dict[str, Any] = {"observation.state": vector, "action": vector, "observation.images.front": picture}
+    features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
+    for name in ("frame_index", "episode_index", "index", "task_index"):
+        features[name] = {"dtype": "int64", "shape": [1], "names": None}
     tables, rows = [], []
     for index in range(2):
         draw = np.random.default_rng(index)
-        pictures = draw.integers(0, 256, (ROWS, 8, 8, 3)).astype(np.uint8)
-        png = [{"bytes": encoded(picture, "PNG"), "path": None} for picture in pictures]
+        pictures = (draw.integers(0, 256, (8, 8, 3)).astype(np.uint8) for _ in range(ROWS))
+        png = [{"bytes": encoded(each, "PNG"), "path": None} for each in pictures]
         columns = {
             name: pa.FixedSizeListArray.from_arrays(pa.array(draw.normal(size=3 * ROWS).astype(np.float32)), 3)
             for name in ("observation.state", "action")

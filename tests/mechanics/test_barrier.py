@@ -8,7 +8,7 @@ from tacgen.geometry.analytic_sdf import ConeSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact, barrier
 from tacgen.mechanics.coupled import CoupledContact, smooth
-from tacgen.mechanics.measures import dragged, onset
+from tacgen.mechanics.measures import dragged
 from tacgen.physics.contact import PARABOLA_GAP_RATIO
 
 Array = np.ndarray
@@ -114,20 +114,10 @@ def test_smoothed_coulomb_law() -> None:
     assert left[1] == pytest.approx(right[1], rel=1e-8)
 
 
-def test_a_point_touches_where_its_way_meets_the_surface() -> None:
-    before, ahead = np.array([[[0.0, 0, -1]] * 4]), np.array([[[2.0, 0, 1]] * 4])
-    gap = np.array([[1.0, 3.0, 1.0, 0.0]])
-    gap_ahead = np.array([[-1.0, -1.0, 0.5, -2.0]])
-    at = onset(before, ahead, gap, gap_ahead)
-    assert at[0] == pytest.approx(np.array([[1.0, 0, 0], [1.5, 0, 0.5], [2, 0, 1], [0, 0, -1]]))
-
-
 def test_anchors_are_dragged_along_only_by_what_exceeds_eps() -> None:
-    normal = np.broadcast_to([0.0, 0, 1], (1, 3, 3))
-    anchor = np.zeros((1, 3, 3))
+    normal, anchor = np.broadcast_to([0.0, 0, 1], (1, 3, 3)), np.zeros((1, 3, 3))
     x = np.array([[[0.05, 0, 0.3], [3.0, 4.0, 0.3], [3.0, 4.0, 0.3]]])
-    force = np.array([[1.0, 1.0, 0.0]])
-    new = dragged(anchor, x, normal, force, 0.1)[0]
+    new = dragged(anchor, x, normal, np.array([[1.0, 1.0, 0.0]]), 0.1)[0]
     assert (x - new)[0, 0, :2] == pytest.approx([0.05, 0])  # sticks: its anchor stays
     assert (x - new)[0, 1, :2] == pytest.approx([0.06, 0.08])  # slips: eps behind, in the direction of the slip
     assert new[0, 2] == pytest.approx(x[0, 2])  # free: carries its own

@@ -2,13 +2,8 @@
 
 import numpy as np
 import pytest
-from helpers.small import block, full
+from helpers.small import block, full, hexes, standing, stiff
 
-from tacgen.fem.assembly import pattern
-from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import boxes, elements
-from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potential import Projection
 from tacgen.mechanics import condensation
 from tacgen.mechanics.condensation import DAMPING_FACTOR, Condensation, Schur
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
@@ -21,14 +16,9 @@ class Bulk:
 
     def __init__(self) -> None:
         points, cells = block(4, 0.1)
-        free = np.ones((len(points), 3), bool)
-        free[points[:, 2] == 0] = False
-        self.top = cells[:, 4:][(points[cells[:, 4:], 2] == 1).all(1)]
-        free[self.top[5, 0], 1] = free[self.top[6, 1]] = False
-        self.free, self.pattern = free, pattern([cells], free)
-        self.data = np.zeros(len(self.pattern.indices))
-        elastic = Elastic.on(self.pattern, elements(points, cells), NeoHooke(0.05, 1.0))
-        elastic.add_hessian(points, self.data, Projection.NONE)
+        self.free, self.top = standing(points), cells[:, 4:][(points[cells[:, 4:], 2] == 1).all(1)]
+        self.free[self.top[5, 0], 1] = self.free[self.top[6, 1]] = False
+        self.pattern, self.data = stiff(points, cells, self.free)
         self.rest = self.data.copy()
         self.condensed = Condensation(self.pattern, lambda: self.rest)
         self.condensed.cover(self.top[[5, 6, 9]])
@@ -43,9 +33,12 @@ class Bulk:
         self.data[self.pattern.indptr[:-1][which]] += by
 
     def schur(self) -> Array:
-        """By dense matrices."""
-        K, c, f = self.K, self.near, ~self.near
-        return np.asarray(K[np.ix_(c, c)] - K[np.ix_(c, f)] @ np.linalg.solve(K[np.ix_(f, f)], K[np.ix_(f, c)]))
+        return complement(self.K, self.near)
+
+
+def complement(K: Array, c: Array) -> Array:
+    """The Schur complement on some unknowns (m,) bool by dense matrices."""
+    return np.asarray(K[np.ix_(c, c)] - K[np.ix_(c, ~c)] @ np.linalg.solve(K[np.ix_(~c, ~c)], K[np.ix_(~c, c)]))
 
 
 @pytest.fixture
@@ -55,23 +48,15 @@ def bulk() -> Bulk:
 
 def test_it_is_the_schur_complement_where_some_condensed_nodes_have_no_others_beside_them() -> None:
     """A plate one cell thick, bonded below; condensed to the middle and, beyond nodes that are not, to a corner."""
-    n = 8
-    ticks = np.arange(n + 1.0)
-    points = np.stack(np.meshgrid(ticks, ticks, [0.0, 1.0], indexing="ij"), -1).reshape(-1, 3)
-    cells = boxes(np.arange(len(points)).reshape(n + 1, n + 1, 2)).reshape(-1, 8)
-    free = np.ones((len(points), 3), bool)
-    free[points[:, 2] == 0] = False
-    pat = pattern([cells], free)
-    data = np.zeros(len(pat.indices))
-    Elastic.on(pat, elements(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
+    points, cells = hexes(np.arange(9.0), np.arange(9.0), [0.0, 1.0])
+    pat, data = stiff(points, cells, standing(points))
     K = full(pat, data)
     for where in (slice(2, 7), slice(0, 5), slice(4, 9)):
-        on = np.arange(len(points)).reshape(n + 1, n + 1, 2)[where, where, 1]
+        on = np.arange(len(points)).reshape(9, 9, 2)[where, where, 1]
         condensed = Condensation(pat, lambda: data)
         condensed.cover(on.ravel()[None])
         condensed.factor(data)
-        c = np.isin(pat.free // 3, on)
-        exact = K[np.ix_(c, c)] - K[np.ix_(c, ~c)] @ np.linalg.solve(K[np.ix_(~c, ~c)], K[np.ix_(~c, c)])
+        exact = complement(K, np.isin(pat.free // 3, on))
         assert condensed.schur.undamped == pytest.approx(exact, abs=1e-12)
 
 
@@ -143,12 +128,14 @@ def stiffness(size: int = 12, seed: int = 0) -> Array:
     return np.asarray(q @ np.diag(np.linspace(1, 5, size)) @ q.T)
 
 
-REST = stiffness(seed=5)
+REST = stiffness(seed=5)  # what damping multiplies
 
 
-def at_rest() -> Array:
-    """What damping multiplies."""
-    return REST
+def schur_of(S: Array, active: Array | None = None) -> Schur:
+    made = Schur(S, lambda: REST)
+    if active is not None:
+        made.activate(active)
+    return made
 
 
 def solved(schur: Schur, added: Array, b: Array, symmetric: bool) -> Array:
@@ -156,12 +143,17 @@ def solved(schur: Schur, added: Array, b: Array, symmetric: bool) -> Array:
     return schur.solver(schur.reduced + added, symmetric)(b)
 
 
+def with_added(S: Array, some: Array, added: Array) -> Array:
+    """S with `added` on some unknowns (m,) bool."""
+    whole = S.copy()
+    whole[np.ix_(some, some)] += added
+    return whole
+
+
 @pytest.mark.parametrize("symmetric", [False, True])
 def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetric: bool) -> None:
-    rng = np.random.default_rng(0)
-    S = stiffness()
-    schur, b = Schur(S.copy(), at_rest), rng.normal(size=12)
-    acted = np.zeros(12, bool)
+    rng, S, acted = np.random.default_rng(0), stiffness(), np.zeros(12, bool)
+    schur, b = schur_of(S.copy()), rng.normal(size=12)
     for which in ([], [3], [3, 8], [8], [1, 2, 11], range(12)):
         now = np.isin(np.arange(12), list(which))
         schur.activate(now)
@@ -169,9 +161,8 @@ def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetr
         assert (schur.active == acted).all()
         added = rng.normal(size=(acted.sum(), acted.sum()))
         added = added @ added.T if symmetric else 0.3 * added
-        whole = S.copy()
-        whole[np.ix_(acted, acted)] += added
-        assert solved(schur, added, b, symmetric) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+        exact = np.linalg.solve(with_added(S, acted, added), b)
+        assert solved(schur, added, b, symmetric) == pytest.approx(exact, abs=1e-10)
         alone = np.linalg.inv(np.linalg.inv(S)[np.ix_(acted, acted)])
         assert schur.reduced == pytest.approx(alone, abs=1e-10)
     assert (schur.S == S).all()
@@ -179,12 +170,8 @@ def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetr
 
 
 def test_an_indefinite_symmetric_sum_is_reported_and_solved_as_it_is_otherwise() -> None:
-    S, b = stiffness(), np.random.default_rng(3).normal(size=12)
-    schur = Schur(S, at_rest)
-    schur.activate(np.arange(12) < 5)
-    added = -4 * np.eye(5)
-    whole = S.copy()
-    whole[:5, :5] += added
+    S, b, some, added = stiffness(), np.random.default_rng(3).normal(size=12), np.arange(12) < 5, -4 * np.eye(5)
+    schur, whole = schur_of(S, some), with_added(S, some, added)
     assert np.linalg.eigvalsh(whole)[0] < -0.1
     assert solved(schur, added, b, False) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
     with pytest.raises(np.linalg.LinAlgError):
@@ -197,7 +184,7 @@ def test_damping_adds_to_the_stiffness_at_rest_and_shortens_the_step() -> None:
     S, b = stiffness(), np.ones(12)
     lengths = []
     for damping in (0.0, 1.0, 100.0):
-        schur = Schur(S, at_rest).damped(damping)
+        schur = schur_of(S).damped(damping)
         assert schur.damping == damping
         assert (schur.undamped == S).all()
         schur.activate(np.arange(12) < 3)
@@ -207,7 +194,7 @@ def test_damping_adds_to_the_stiffness_at_rest_and_shortens_the_step() -> None:
         assert x == pytest.approx(np.linalg.solve(S + damping * REST, b))
         lengths.append(float(np.linalg.norm(x)))
     assert lengths[0] > 1.2 * lengths[1] > 10 * lengths[2]
-    more = Schur(S, at_rest).more_damped()
+    more = schur_of(S).more_damped()
     assert 0 < more.damping < more.more_damped().damping == more.damped(more.damping).more_damped().damping
 
 
@@ -234,24 +221,18 @@ def test_what_is_eliminated_is_damped_until_it_is_stable_by_itself() -> None:
     """Those that contact acts on need not be: it may keep them."""
     S = stiffness()
     S[:3, :3] -= 9 * np.eye(3)  # the first ones are unstable
-    b = np.random.default_rng(2).normal(size=12)
-    kept = Schur(S, at_rest)
-    kept.activate(np.arange(12) < 3)
+    b, added = np.random.default_rng(2).normal(size=12), 20 * np.eye(3)
+    first, last = np.arange(12) < 3, np.arange(12) >= 9
+    kept, damped = schur_of(S, first), schur_of(S, last)
     assert kept.damping == 0
-    added = 20 * np.eye(3)
-    whole = S.copy()
-    whole[:3, :3] += added
-    assert solved(kept, added, b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
-    damped = Schur(S, at_rest)
-    damped.activate(np.arange(12) >= 9)
+    assert solved(kept, added, b, True) == pytest.approx(np.linalg.solve(with_added(S, first, added), b), abs=1e-10)
     part = np.ix_(range(9), range(9))
     before = S + damped.damping / DAMPING_FACTOR * REST
     assert np.linalg.eigvalsh(before[part])[0] < 0 < np.linalg.eigvalsh(damped.S[part])[0]
     assert pytest.approx(S + damped.damping * REST) == damped.S
     assert (damped.undamped == S).all()
-    whole = damped.S.copy()
-    whole[9:, 9:] += 20 * np.eye(3)
-    assert solved(damped, 20 * np.eye(3), b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+    exact = np.linalg.solve(with_added(damped.S, last, added), b)
+    assert solved(damped, added, b, True) == pytest.approx(exact, abs=1e-10)
 
 
 def test_facets_add_their_stiffness_once_and_what_a_solver_uses_up_is_its_own() -> None:
@@ -265,7 +246,7 @@ def test_facets_add_their_stiffness_once_and_what_a_solver_uses_up_is_its_own() 
     for own, tangent in zip(dofs, D[:, 0], strict=True):
         whole[np.ix_(own.ravel(), own.ravel())] += np.tile(tangent / 16, (4, 4))
     exact = np.linalg.solve(S + whole[:-1, :-1], b)
-    schur = Schur(S.copy(), at_rest)
+    schur = schur_of(S.copy())
     for _ in range(2):
         assert schur.solver(schur.stiffness(D, N, dofs))(b) == pytest.approx(exact, abs=1e-9)
     assert (schur.S == S).all()
@@ -282,9 +263,8 @@ def test_large_ones_are_solved_to_double_precision(columns: tuple[int, ...], mon
     exact = np.linalg.solve(S + added, b)
 
     def error() -> float:
-        schur = Schur(S, at_rest)
-        schur.activate(np.ones(size, bool))
-        return float(np.linalg.norm(solved(schur, added, b, False) - exact) / np.linalg.norm(exact))
+        found = solved(schur_of(S, np.ones(size, bool)), added, b, False)
+        return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
 
     assert error() < 1e-12
     monkeypatch.setattr(condensation, "REFINED_SOLUTION_TOL", 1.0)
@@ -297,12 +277,10 @@ def test_a_large_one_too_ill_conditioned_for_single_precision_is_solved_in_doubl
     S = stiffness(size)
     q, _ = np.linalg.qr(rng.normal(size=(size, size)))
     added = q @ np.diag(np.geomspace(1e-10, 1, size)) @ q.T - S
-    x = rng.normal(size=size)
-    schur = Schur(S, at_rest)
-    schur.activate(np.ones(size, bool))
     K = S + added
-    b = K @ x
-    found = [solve(b) for solve in [schur.solver(K.copy())] for _ in range(2)]
+    b = K @ rng.normal(size=size)
+    solve = schur_of(S, np.ones(size, bool)).solver(K.copy())
+    found = [solve(b), solve(b)]
     assert (found[0] == found[1]).all()
     assert K @ found[0] == pytest.approx(b, abs=1e-13)
     assert found[0] == pytest.approx(np.linalg.solve(K, b), rel=1e-3)

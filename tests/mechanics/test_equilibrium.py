@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.presses import gel, poses, scene
+from helpers.presses import force, gel, poses, problem_of, scene
 
 from tacgen.geometry.analytic_sdf import CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, solver, states
+from tacgen.mechanics import Problem, SolverOptions, State, plain, solver, states
 from tacgen.mechanics.condensation import Condensation, Schur
 from tacgen.mechanics.course import Course, Leg
 from tacgen.mechanics.frames import UNIT_RISE
@@ -25,23 +25,21 @@ TIGHT = replace(USUAL, step_tol=3e-4, residual_tol=1e-6, fold_tol=1e-6, fold_max
 
 
 def solved(
-    shape: Shape, path: list[tuple[float, float, float]], options: SolverOptions = USUAL, friction: float = 0.6
+    shape: Shape,
+    path: list[tuple[float, float, float]],
+    options: SolverOptions = USUAL,
+    friction: float = 0.6,
+    edge: float = 0.5,
 ) -> tuple[list[State], Problem]:
-    made = scene(shape, poses(path), pad=gel(8, 8, 2.0), friction=friction, edge=0.5)
-    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), options)
+    made = scene(shape, poses(path), pad=gel(8, 8, 2.0), friction=friction, edge=edge)
+    problem = problem_of(made, 2.0, options)
     return list(states(made, problem)), problem
-
-
-def total(state: State) -> Array:
-    """The indenter's force (3,)."""
-    return np.asarray(state.traction_force.sum((0, 1)))
 
 
 def alike(one: list[State], two: list[State], tol: float) -> None:
     """Forces and, point by point, what presses and rubs, within a part of the force."""
     for a, b in zip(one, two, strict=True):
-        size = np.linalg.norm(total(a))
-        assert np.abs(total(a) - total(b)).max() < tol * size
+        assert np.abs(force(a) - force(b)).max() < tol * np.linalg.norm(force(a))
         assert np.linalg.norm(a.normal_force - b.normal_force) < 5 * tol * np.linalg.norm(a.normal_force)
         assert b.x == pytest.approx(a.x, abs=tol)
         if a.friction is not None and b.friction is not None:
@@ -124,13 +122,11 @@ def test_without_factors_that_can_be_read_newtons_method_does_it(monkeypatch: py
     assert problem.factored == problem.linear.factored
     for a, b in zip(usual, found, strict=True):
         assert b.residual < 1e-3
-        assert total(b) == pytest.approx(total(a), abs=5e-3 * np.linalg.norm(total(a)))
+        assert force(b) == pytest.approx(force(a), abs=5e-3 * np.linalg.norm(force(a)))
 
 
 def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
-    made = scene(SphereSdf(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)
-    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), USUAL)
-    *_, last = states(made, problem)
+    (*_, last), problem = solved(SphereSdf(2.5), PATH, edge=1.0)
     assert last.after is not None
     contact = problem.contact.moved(Pose.of(last.pose + 0.1 * UNIT_RISE), last.offset)
     assert predict(contact, problem.tangent, last.after) is not None
@@ -146,9 +142,7 @@ def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
 def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypatch: pytest.MonkeyPatch) -> None:
     """A node in the corner of the pad is pushed almost through its element: Newton's step throws it out on the other
     side. Damping acts on the nodes at the contact and would not help."""
-    made = scene(SphereSdf(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.5)
-    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), TIGHT)
-    *_, last = states(made, problem)
+    (*_, last), problem = solved(SphereSdf(2.5), PATH, TIGHT)
     assert last.after is not None
     lower = last.pose - 0.05 * UNIT_RISE
     legs = (Leg(lower, lower, np.zeros(3), np.inf),)

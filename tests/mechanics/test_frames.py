@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.load_steps import watched
-from helpers.presses import gel, poses, run, scene
+from helpers.presses import force, gel, poses, problem_of, run, scene
 from helpers.solves import equilibrium
 
 from tacgen.fem.elasticity import Elastic
@@ -31,13 +31,13 @@ from tacgen.mechanics.scene import Forced, Scene
 
 Array = np.ndarray
 USUAL = SolverOptions()
-SMALL = (-1.8, 1.8, -1.8, 1.8)
+SMALL = 1.8  # half of what is fine [mm]
 PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.3, 0.0, -0.4)]
 
 
 def made(friction: float = 0.0, options: SolverOptions = USUAL) -> tuple[Scene, Problem]:
     s = scene(SphereSdf(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
-    return s, Problem.of(s, mesh.build(s.gel, SMALL, s.edge), options)
+    return s, problem_of(s, SMALL, options)
 
 
 def test_frames_come_in_order_at_the_poses_asked_for() -> None:
@@ -58,8 +58,8 @@ def test_frames_come_in_order_at_the_poses_asked_for() -> None:
         assert (state.x[held] == problem.mesh.points[held]).all()
         inside = s.shape.distance(Pose.of(pose).local(problem.contact.faces.at(state.x)).reshape(-1, 3))[0]
         assert inside.min() > -state.offset
-    assert -found[1].traction_force.sum((0, 1))[2] > -2 * found[0].traction_force.sum((0, 1))[2]  # stiffens
-    assert found[2].traction_force.sum((0, 1))[0] > 0
+    assert -force(found[1])[2] > -2 * force(found[0])[2]  # stiffens
+    assert force(found[2])[0] > 0
 
 
 @pytest.mark.parametrize("asked", [0.02, 0.05, 0.2])
@@ -67,8 +67,8 @@ def test_a_punch_reaches_forces_that_are_light_beside_the_solvers_tolerances(ask
     one = np.ones(1)
     s = scene(CylinderSdf(3.0, 0.4), poses([(0, 0, -0.05)]), pad=gel(8, 8, 2.0, nu=0.4995), friction=1.0, edge=1.0)
     s = replace(s, dhat=0.1, forced=Forced(asked * one, one, one, -1.6 * one, 1.5 * one))
-    (state,) = states(s, Problem.of(s, mesh.build(s.gel, (-3.5, 3.5, -3.5, 3.5), s.edge)))
-    assert -state.traction_force[..., 2].sum() == pytest.approx(asked, rel=USUAL.force_tol)
+    (state,) = states(s, problem_of(s, 3.5))
+    assert -force(state)[2] == pytest.approx(asked, rel=USUAL.force_tol)
 
 
 def flat(body: Elastic, *args: Any) -> Any:
@@ -103,11 +103,11 @@ def test_a_frame_without_an_answer_is_refused_with_its_reason(
 def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A gel far stiffer than its contact was made for is overrun by the indenter."""
     s, problem = made(options=SolverOptions(halvings=0))
-    usual = next(states(s, problem)).traction_force.sum((0, 1))[2]
+    usual = force(next(states(s, problem)))[2]
     soft = replace(problem, contact=replace(problem.contact, kappa=1e-3 * problem.contact.kappa))
     mended = next(states(s, soft))
     assert mended.min_gap > 0
-    assert mended.traction_force.sum((0, 1))[2] == pytest.approx(usual, rel=0.05)
+    assert force(mended)[2] == pytest.approx(usual, rel=0.05)
     monkeypatch.setattr(load_step, "BARRIER_STIFFENING_FACTOR", 1.0)
     with pytest.raises(NotConverged, match="smallest gap -"):
         next(states(s, soft))
@@ -133,7 +133,7 @@ def test_a_step_that_fails_is_halved_and_its_parts_counted(
     assert all((state.pose == pose).all() for state, pose in zip(found, s.poses, strict=True))
     for a, b in zip(direct, found, strict=True):
         assert b.iterations > a.iterations
-        assert b.traction_force.sum((0, 1)) == pytest.approx(a.traction_force.sum((0, 1)), abs=2e-3)
+        assert force(b) == pytest.approx(force(a), abs=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -170,9 +170,8 @@ def test_a_step_that_failed_leaves_nothing_behind() -> None:
     rest = problem.rest(Pose.of(s.start))
     _, usual = equilibrium(problem, rest, s.poses[0], 0).reached()
     s, problem = made(0.3)
-    hasty = replace(
-        problem, options=replace(problem.options, max_newton=2, keep_tangent=False, residual_tol=1e-14, step_tol=1e-9)
-    )
+    options = replace(problem.options, max_newton=2, keep_tangent=False, residual_tol=1e-14, step_tol=1e-9)
+    hasty = replace(problem, options=options)
     hasty.__dict__["tangent"] = problem.tangent  # the same one
     with pytest.raises(NotConverged):
         equilibrium(hasty, rest, s.poses[0], 0).reached()
@@ -212,11 +211,10 @@ AT_ONCE = SolverOptions(sink=np.inf, slide=np.inf, slide_sharp=np.inf, fold_halv
 def test_a_deep_press_at_once_goes_in_load_steps_to_the_same_force() -> None:
     """Without friction the way there does not matter: half the tangents, the same answer."""
     made = scene(SphereSdf(4.0), poses([(0, 0, -1.0)]), pad=gel(12, 12, 4.0), edge=0.6)
-    grid = mesh.build(made.gel, (-3.0, 3.0, -3.0, 3.0), made.edge)
-    problems = [Problem.of(made, grid, options) for options in (SolverOptions(), AT_ONCE)]
+    problems = [problem_of(made, 3.0, options) for options in (SolverOptions(), AT_ONCE)]
     (split,), (whole,) = (list(states(made, problem)) for problem in problems)
     assert (split.substeps, whole.substeps) == (2, 1)
-    assert split.traction_force.sum((0, 1))[2] == pytest.approx(whole.traction_force.sum((0, 1))[2], rel=1e-3)
+    assert force(split)[2] == pytest.approx(force(whole)[2], rel=1e-3)
     assert problems[0].factored < 0.8 * problems[1].factored
 
 
@@ -227,7 +225,7 @@ def test_friction_taken_round_a_sharp_edge_in_one_step_is_recorded() -> None:
     def slid(shape: Shape, friction: float, times: int) -> float:
         made = scene(shape, poses(path), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
         options = short_steps(SolverOptions(sink=9.0, slide=9.0, slide_sharp=9.0, fold_halvings=0), times)
-        found = list(states(made, Problem.of(made, mesh.build(made.gel, SMALL, made.edge), options)))
+        found = list(states(made, problem_of(made, SMALL, options)))
         assert found[1].substeps == (1 if times == 1 or not friction else 7)
         return found[1].rounded
 
@@ -240,7 +238,7 @@ def test_friction_taken_round_a_sharp_edge_in_one_step_is_recorded() -> None:
 
 def test_friction_round_an_edge_is_that_of_the_points_whose_normal_turns() -> None:
     made = scene(BoxSdf(1.0, 1.0, 0.05), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.6)
-    problem = Problem.of(made, mesh.build(made.gel, SMALL, made.edge))
+    problem = problem_of(made, SMALL)
     after, _ = equilibrium(problem, problem.rest(Pose.of(made.start)), made.poses[0], 0).reached()
     one = np.unravel_index(after.normal_force.argmax(), after.normal_force.shape)
     share = after.normal_force[one] / after.normal_force.sum()

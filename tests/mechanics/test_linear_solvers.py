@@ -2,13 +2,9 @@
 
 import numpy as np
 import pytest
-from helpers.small import block, full
+from helpers.small import block, full, standing, stiff
 
-from tacgen.fem.assembly import Pattern, pattern
-from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import elements
-from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potential import Projection
+from tacgen.fem.assembly import Pattern
 from tacgen.mechanics.linear_solvers import (
     LINEAR_SOLVERS,
     Cholmod,
@@ -25,11 +21,7 @@ Array = np.ndarray
 def system(n: int = 4) -> tuple[Pattern, Array, Array, Array]:
     """Pattern and stiffness of a bonded block, its dense matrix, and a right-hand side."""
     points, cells = block(n, 0.2)
-    free = np.ones((len(points), 3), bool)
-    free[points[:, 2] == 0] = False
-    pat = pattern([cells], free)
-    data = np.zeros(len(pat.indices))
-    Elastic.on(pat, elements(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
+    pat, data = stiff(points, cells, standing(points))
     return pat, data, full(pat, data), np.random.default_rng(0).normal(size=pat.size)
 
 

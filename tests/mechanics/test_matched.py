@@ -1,9 +1,11 @@
 """Forces of a table are met where rigid bodies had them at other depths, what cannot be is told, and grasps follow."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tacgen import mechanics
 from tacgen.batch import pipeline
@@ -109,8 +111,6 @@ def test_a_bundle_whose_force_is_not_the_asked_one_is_found_out(tmp_path: Path, 
 
 
 def _attributes(found: Bundle) -> dict[str, object]:
-    import json
-
     made = {"tacgen_format", "tacgen_version", "units", "frames_planned", "status", "reason", "digest", "complete"}
     plain = {key: value for key, value in found.attrs.items() if key not in made}
     structured = ("recipe", "sensor_document", "mesh", "values", "notes")
@@ -121,15 +121,11 @@ def _attributes(found: Bundle) -> dict[str, object]:
 
 AXES = np.eye(3)
 # of each row: height [mm], rotation vector [rad], grip [N], width [mm]
+X, Y, STILL = AXES[0], AXES[1], np.zeros(3)
 ROWS = [
-    *((0, 0 * AXES[0], "0", "12"), (0, 0 * AXES[0], "1", ""), (0, 0 * AXES[0], "2", ""), (3, 0 * AXES[0], "2", "")),
-    *(
-        (6, 0.7 * AXES[0], "2", ""),
-        (6, 1.4 * AXES[0], "2", ""),
-        (6, 0.8 * AXES[1], "2", ""),
-        (6, 1.4 * AXES[1], "2", ""),
-    ),
-    *((0, 0 * AXES[0], "2", ""), (0, 0 * AXES[0], "0", "14"), (30, 0.5 * AXES[1], "0", "14")),
+    *((0, STILL, "0", "12"), (0, STILL, "1", ""), (0, STILL, "2", ""), (3, STILL, "2", "")),
+    *((6, 0.7 * X, "2", ""), (6, 1.4 * X, "2", ""), (6, 0.8 * Y, "2", ""), (6, 1.4 * Y, "2", "")),
+    *((0, STILL, "2", ""), (0, STILL, "0", "14"), (30, 0.5 * Y, "0", "14")),
 ]
 
 
@@ -142,7 +138,8 @@ def followed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Bundl
     for t, (height, turn, grip, width) in enumerate(ROWS):
         R = world @ about(turn, 1.0)
         at = place + (5.0 + height) * AXES[2]
-        poses = [f"{','.join(map(repr, map(float, (*p, *_quaternion(R)))))}" for p in (at, at - 5 * R[:, 2])]
+        turned = Rotation.from_matrix(R).as_quat(scalar_first=True)
+        poses = [",".join(map(repr, map(float, (*p, *turned)))) for p in (at, at - 5 * R[:, 2])]
         lines.append(f"{t},{poses[0]},{grip},{width},{poses[1]}")
     titles = [f"{name}x_mm,{name}y_mm,{name}z_mm,{name}qw,{name}qx,{name}qy,{name}qz" for name in ("", "object_")]
     (folder / "grip.csv").write_text("\n".join([f"time_s,{titles[0]},grip_n,width_mm,{titles[1]}", *lines]))
@@ -158,12 +155,6 @@ trajectory: [replay: {{file: grip.csv, match: grip}}]
     result = pipeline.run_scene(plan.load(folder / "grip.yaml").rows[0], folder / "out")
     assert result.status == "ok", result.reason
     return folder / "out", [read(folder / f"out/scene-00000-{side}.h5") for side in "LR"]
-
-
-def _quaternion(R: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
 
 
 @pytest.mark.slow

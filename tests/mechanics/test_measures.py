@@ -32,11 +32,11 @@ def test_a_motion_that_goes_on_takes_the_last_steps_error_along(
     assert measures.ahead(motion, before, touching) == pytest.approx([weight])
 
 
-def test_a_point_that_leaves_an_overlap_touches_at_its_end() -> None:
-    """One that was inside the shrunk indenter, within the tolerances, and goes away from it."""
-    before, ahead = np.zeros((1, 3)), np.ones((1, 3))
-    assert measures.onset(before, ahead, np.array([-0.1]), np.array([0.4])) == pytest.approx(ahead)
-    assert measures.onset(before, ahead, np.array([0.1]), np.array([-0.3])) == pytest.approx(0.25 * ahead)
+def test_a_point_touches_where_its_way_meets_the_surface() -> None:
+    """At its end, one that was inside the shrunk indenter, within the tolerances, and goes away from it."""
+    gap, ahead = np.array([1.0, 3.0, 1.0, 0.0, -0.1]), np.array([-1.0, -1.0, 0.5, -2.0, 0.4])
+    at = measures.onset(np.array([[0.0, 0, -1]] * 5), np.array([[2.0, 0, 1]] * 5), gap, ahead)
+    assert at == pytest.approx(np.array([[1.0, 0, 0], [1.5, 0, 0.5], [2, 0, 1], [0, 0, -1], [2, 0, 1]]))
 
 
 def test_a_change_within_rounding_is_all_that_was_predicted() -> None:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from helpers import small_recipe
 from helpers.load_steps import watched
-from helpers.presses import gel, poses, scene
+from helpers.presses import gel, poses, problem_of, scene
 from helpers.solves import advance
 from scipy.spatial.transform import Rotation
 
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose, along, between, shortest_turn
-from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, mesh
-from tacgen.mechanics.course import Course, Leg
+from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions
+from tacgen.mechanics.course import Course
 from tacgen.mechanics.load_stepping import steps_needed
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import History
@@ -23,7 +23,6 @@ from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 ANGLES = [30.0, 179.0, 181.0, 190.0, -190.0, 360.0, 720.0, -1000.0]
-PRESS = "press: {depth_mm: 0.4, frames: 1}"
 
 
 def built(*moves: str, sets: tuple[str, ...] = ()) -> Scene:
@@ -47,7 +46,7 @@ def from_to(made: Scene, frame: int) -> tuple[Array, Array, Array]:
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_a_twist_goes_all_the_way_around_that_is_asked_for(angle: float) -> None:
-    made = built(PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}")
+    made = built(small_recipe.PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}")
     a, b, turn = from_to(made, 1)
     assert turn == pytest.approx([0, 0, np.radians(angle)])
     assert b[:3, :3] == pytest.approx(about([0, 0, 1], angle), abs=1e-12)
@@ -65,7 +64,7 @@ def test_a_twist_goes_all_the_way_around_that_is_asked_for(angle: float) -> None
 
 def test_a_leaning_indenter_is_twisted_about_its_own_axis_and_tilted_about_the_gels() -> None:
     tilt = "tilt: {angle_deg: 8, axis_deg: 90, frames: 2}"
-    made = built(PRESS, tilt, "twist: {angle_deg: 200, frames: 1}")
+    made = built(small_recipe.PRESS, tilt, "twist: {angle_deg: 200, frames: 1}")
     lean = about([0, 1, 0], 8)
     for frame in (1, 2):
         a, b, turn = from_to(made, frame)
@@ -90,8 +89,7 @@ def test_a_replay_turns_by_the_shorter_way(tmp_path: Path) -> None:
 def small(shape: Shape, friction: float = 0.6, options: SolverOptions | None = None) -> tuple[Scene, Problem]:
     """An indenter pressed in by .3 mm, to be turned."""
     made = scene(shape, poses([(0.0, 0.0, -0.3)]), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
-    problem = Problem.of(made, mesh.build(made.gel, (-1.8, 1.8, -1.8, 1.8), made.edge), options or SolverOptions())
-    return made, problem
+    return made, problem_of(made, 1.8, options or SolverOptions())
 
 
 def pressed(made: Scene, problem: Problem) -> History:
@@ -141,22 +139,18 @@ def test_a_turn_needs_short_steps_only_where_it_rubs_and_sharp_edges_shorter_one
     assert steps_needed(finer, history, a, a, turn) == pytest.approx(3 * usual, abs=3)
 
 
-def recorded(monkeypatch: pytest.MonkeyPatch, most: float = np.inf) -> list[Leg]:
-    """The load steps that are solved; turns of more than `most` [deg] at once are refused."""
-
-    def refuse(now: Course) -> NotConverged | None:
-        way = Rotation.from_matrix(now.legs[0].b[:3, :3] @ now.history.pose.rotation.T).magnitude()
-        return NotConverged(Failure.newton, steps=1) if np.degrees(way) > most else None
-
-    return watched(monkeypatch, refuse)
-
-
 @pytest.mark.parametrize("angle", [190.0, -190.0])
 def test_a_turn_that_fails_is_halved_on_its_own_way(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
     made, problem = small(SphereSdf(2.5), friction=0.0)
     history, a = pressed(made, problem), made.poses[0]
     turn = np.array([0, 0, np.radians(angle)])
-    done = recorded(monkeypatch, most=60)
+
+    def refuse(now: Course) -> NotConverged | None:
+        """Turns of more than 60 degrees at once."""
+        way = Rotation.from_matrix(now.legs[0].b[:3, :3] @ now.history.pose.rotation.T).magnitude()
+        return NotConverged(Failure.newton, steps=1) if np.degrees(way) > 60 else None
+
+    done = watched(monkeypatch, refuse)
     after, state = advance(problem, history, a, rotated(a, turn), turn, 1, 0.0).reached()
     sign = np.sign(angle)
     assert np.array([turned(leg.b) for leg in done]) == pytest.approx(sign * np.array([47.5, 95, 142.5, -170]))

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.presses import gel, poses, scene
+from helpers.presses import force, gel, poses, problem_of, scene
 
 from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import NotConverged, Problem, SolverOptions, mesh, phases, plain, solver
+from tacgen.mechanics import NotConverged, Problem, SolverOptions, phases, plain, solver
 from tacgen.mechanics.course import Course
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.load_stepping import to_pose
@@ -54,7 +54,7 @@ def test_every_cycle_passes_a_phase_that_is_counted(phase: Phase) -> None:
 def begun(shape: Shape, options: SolverOptions, depth: float, x: float = 0.0) -> tuple[Problem, Course]:
     """A press by `depth` and a slide by x at once, on a small pad, before the first kernel."""
     made = scene(shape, poses([(x, 0.0, -depth)]), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)
-    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), options)
+    problem = problem_of(made, 2.0, options)
     rest = problem.rest(Pose.of(made.start))
     return problem, to_pose(problem, rest, made.start, made.poses[0], np.zeros(3), 0, np.inf)
 
@@ -107,9 +107,7 @@ def edges(name: str) -> set[Edge]:
 
 
 def test_kernels_return_all_that_the_table_has_and_no_more() -> None:
-    assert set.union(*map(edges, RUNS)) == {
-        (phase, outcome) for phase, row in PHASE_TRANSITIONS.items() for outcome in row
-    }
+    assert set.union(*map(edges, RUNS)) == {(phase, end) for phase, row in PHASE_TRANSITIONS.items() for end in row}
 
 
 def test_what_is_kept_between_two_load_steps_goes_on_in_another_process() -> None:
@@ -125,7 +123,7 @@ def test_what_is_kept_between_two_load_steps_goes_on_in_another_process() -> Non
     other, _ = begun(BALL, replace(USUAL, sink=0.1), 0.3)
     whole, again = now, solver.solve(other, pickle.loads(kept))
     assert again.history.x == pytest.approx(whole.history.x, abs=1e-4)
-    forces = [now.reached()[1].traction_force.sum((0, 1))[2] for now in (whole, again)]
+    forces = [force(now.reached()[1])[2] for now in (whole, again)]
     assert forces[1] == pytest.approx(forces[0], rel=1e-4)
     assert (again.state or half.state).substeps == (whole.state or half.state).substeps
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import small_recipe
+from helpers.presses import force
 
 from tacgen import mechanics
 from tacgen.base.errors import UserError
@@ -22,10 +23,6 @@ from tacgen.recipe.row import Row
 PRESS = "press: {depth_mm: 0.8, frames: 2}"
 ALL = {"material": {"modulus": 0.1, "poissons_ratio": 0.002, "friction": 0.1}, "pose": {"depth_mm": 0.02}}
 EXACT = replace(mechanics.DEFAULT_OPTIONS, step_tol=1e-4, residual_tol=1e-7)
-
-
-def force(state: mechanics.State) -> np.ndarray:
-    return state.traction_force.sum((0, 1))
 
 
 def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.GelMesh, dict[str, np.ndarray]]:
@@ -50,9 +47,8 @@ def differences(built: Scene, on: mesh.GelMesh, options: mechanics.SolverOptions
         (layer,), nu = built.gel.layers, 0.49 + poisson
         law = NeoHooke(times * layer.law.mu * 1.49 / (1 + nu), 0)
         law = replace(law, kappa=2 * law.mu * (1 + nu) / (3 * (1 - 2 * nu)))
-        return {
-            "gel": replace(built.gel, layers=(replace(layer, law=law, youngs_modulus=times * layer.youngs_modulus),))
-        }
+        softer = replace(layer, law=law, youngs_modulus=times * layer.youngs_modulus)
+        return {"gel": replace(built.gel, layers=(softer,))}
 
     def lower(by: float) -> dict[str, object]:
         down = by * np.outer(np.eye(4)[2], np.eye(4)[3])

@@ -7,7 +7,6 @@ import pytest
 from helpers.presses import gel, poses, scene, thin_plate
 from helpers.small import block, patch, whole
 
-from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
@@ -66,9 +65,7 @@ def test_a_gel_may_go_round_what_it_may_not_pass_through() -> None:
 
 
 def test_what_lies_inside_the_gel_is_found() -> None:
-    elastic = [
-        Elastic.on(pattern([CELLS], np.ones((len(POINTS), 3), bool)), elements(POINTS, CELLS), NeoHooke(0.05, 0.5))
-    ]
+    elastic = [Elastic.on(PATTERN, elements(POINTS, CELLS), NeoHooke(0.05, 0.5))]
     faces = Faces.on(PATTERN, POINTS, QUADS)
     deep = Contact(faces, CapsuleSdf(0.3, 2.0), at(0, -0.8), 0.03, 0.3)
     assert deep.gap(POINTS).min() > 0  # contact sees nothing of it

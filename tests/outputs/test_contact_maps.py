@@ -16,6 +16,7 @@ from tacgen.outputs.gel_surface import GelSurface
 Array = np.ndarray
 RADIUS, FRICTION = 1.9, 0.4
 CAMERA = PinholeCamera(Stack((30.0, 4.0), (1.0, 1.41)), (0.0, 0.0), 600.0, (120, 120))  # .055 mm a pixel
+BESIDE = replace(CAMERA, center=(CAMERA.mm_per_px * 60, 0.0))  # sees the right half
 KINDS = pytest.mark.parametrize("kind", [4, 3, 6])
 
 
@@ -24,20 +25,20 @@ def hertz(at: Array) -> Array:
     return np.asarray(0.1 * np.sqrt(np.maximum(1 - (at[..., 0] ** 2 + at[..., 1] ** 2) / RADIUS**2, 0.0)))
 
 
+def touching(faces: Faces) -> Problem:
+    """As much of a problem as maps need."""
+    return SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[return-value]
+
+
 def pressed(
-    points: Array,
-    faces: Faces,
-    camera: PinholeCamera = CAMERA,
-    uneven: Array | float = 1.0,
-    surface: GelSurface | None = None,
+    points: Array, faces: Faces, uneven: Array | float = 1.0, surface: GelSurface | None = None
 ) -> tuple[contact_maps.Maps, State]:
     """A level face under a ball that slides along (.6, .8), and its maps; `uneven` (q,) is times the pressure."""
     force = hertz(faces.at(points)) * faces.areas * uneven
     rub = FRICTION * force[..., None] * np.array([0.6, 0.8, 0.0])
     down = np.broadcast_to([0.0, 0.0, -1.0], rub.shape)
     state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
-    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
-    return contact_maps.maps(problem, surface or GelSurface(points, faces.conn), state, camera), state
+    return contact_maps.maps(touching(faces), surface or GelSurface(points, faces.conn), state, CAMERA), state
 
 
 def error(found: contact_maps.Maps) -> float:
@@ -94,8 +95,7 @@ def test_what_is_out_of_view_is_not_in_the_map() -> None:
     """A camera that looks at the right half gives half of the force, and its own pixels no more than they had."""
     points, faces, _ = patch(12, 5.0)
     whole, state = pressed(points, faces)
-    half = replace(CAMERA, center=(CAMERA.mm_per_px * 60, 0.0))
-    found, _ = pressed(points, faces, half)
+    found = contact_maps.maps(touching(faces), GelSurface(points, faces.conn), state, BESIDE)
     assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum() / 2, rel=0.03)
     assert found.pressure[:, :60] == pytest.approx(whole.pressure[:, 60:], abs=0.02 * whole.pressure.max())
 
@@ -129,19 +129,17 @@ def test_resultants_of_maps_are_compared_with_the_forces(kind: int, scale: float
     level = replace(level, normal_force=scale * level.normal_force, friction=scale * level.friction)
     side = np.sign(faces.at(points)[..., :1])
     lean = replace(level, normal=side * [np.sqrt(0.75), 0, 0] + [0, 0, -0.5], friction=0 * level.friction)
-    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
     surface = GelSurface(points, faces.conn)
 
     def errors(state: State, camera: PinholeCamera = CAMERA) -> list[float]:
-        view = contact_maps.Shares(problem, surface, state, camera)
+        view = contact_maps.Shares(touching(faces), surface, state, camera)
         return list(contact_maps.resultant_errors(view, surface, state, contact_maps.spread(view, state)).values())
 
     assert errors(level) == pytest.approx([0, 0], abs=1e-9)
     assert errors(lean) == pytest.approx([1, 0], abs=1e-9)
     assert errors(replace(level, normal_force=0 * level.normal_force, friction=0 * level.friction)) == [0, 0]
-    beside = replace(CAMERA, center=(CAMERA.mm_per_px * 60, 0.0))
     half = [0.5 / np.hypot(1, FRICTION), 0.5 * FRICTION / np.hypot(1, FRICTION)]
-    assert errors(level, beside) == pytest.approx(half, rel=0.03)
+    assert errors(level, BESIDE) == pytest.approx(half, rel=0.03)
 
 
 @KINDS
@@ -154,8 +152,7 @@ def test_friction_in_any_direction_of_points_that_slide_or_stick_obeys_coulombs_
     size = FRICTION * state.normal_force * np.where(sliding, 1.0, stuck)
     rub = size[..., None] * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     partly = replace(state, sliding=sliding, friction=rub)
-    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
-    found = contact_maps.maps(problem, GelSurface(points, faces.conn), partly, CAMERA)
+    found = contact_maps.maps(touching(faces), GelSurface(points, faces.conn), partly, CAMERA)
     assert found.pressure.min() >= 0
     assert found.sliding.min() >= 0
     assert found.sliding.max() <= 1 + 1e-12

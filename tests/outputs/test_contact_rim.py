@@ -6,7 +6,7 @@ from helpers.presses import gel, poses, run, scene
 
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.clough_tocher import CloughTocher
-from tacgen.outputs import contact_rim, gel_surface
+from tacgen.outputs import contact_rim
 
 Array = np.ndarray
 BALL, CONTACT, EDGE = 4.0, 1.8, 0.6
@@ -73,10 +73,9 @@ def test_the_rim_of_a_coarse_mesh_is_that_of_a_finer_one() -> None:
 
     def normals(edge: float, *, plain: bool = False) -> Array:
         pressed = run(scene(SphereSdf(4.0), poses([(0.2, 0.1, -0.4)]), pad=gel(6.5, 6.5, 2.5), edge=edge))
-        coated = gel_surface.GelSurface(pressed.problem.mesh.points, pressed.problem.mesh.facets["coated"])
-        face = coated.moved(pressed.states[-1].x) if plain else coated.pressed(pressed.problem, pressed.states[-1])
-        spans = [face.at(at + by) - face.at(at - by) for by in np.eye(2) * 0.05]
-        normals = np.cross(*spans)
+        (state,) = pressed.states
+        face = pressed.face.moved(state.x) if plain else pressed.face.pressed(pressed.problem, state)
+        normals = np.cross(*(face.at(at + by) - face.at(at - by) for by in np.eye(2) * 0.05))
         return (normals / np.linalg.norm(normals, axis=1, keepdims=True))[ring]
 
     oracle, found, before = normals(0.3), normals(EDGE), normals(EDGE, plain=True)

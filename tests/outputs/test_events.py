@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import small_recipe
+from helpers.small import patch
 from helpers.synthetic import attributes, write
 
 from tacgen.batch import pipeline
@@ -107,27 +108,21 @@ def test_events_are_those_of_all_of_the_face_whatever_the_camera_sees(tmp_path: 
 @pytest.mark.parametrize("along", [2, 3])
 def test_area_and_patches_of_a_face_are_those_of_what_touches_it(along: int) -> None:
     """Two squares and the corner between them, on a level grid whose cells are 0.5 mm wide; and a single point."""
-    n = 12
-    points = np.stack(
-        [*np.meshgrid(np.arange(n + 1.0) / 2, np.arange(n + 1.0) / 2, indexing="ij"), np.zeros((n + 1, n + 1))], -1
-    )
-    number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    conn = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1).reshape(-1, 4)
-    faces = Faces.on(None, points.reshape(-1, 3), conn, along)
-    x, y, _ = faces.at(points.reshape(-1, 3)).transpose(2, 0, 1)
-    two = ((x < 2) & (y < 2)) | ((x > 4) & (y > 3))
-    area, patches = touched(faces, points.reshape(-1, 3), two)
+    points, faces, pat = patch(12, 6.0)
+    faces = Faces.on(pat, points, faces.conn, along)
+    x, y, _ = faces.at(points).transpose(2, 0, 1)
+    two = ((x < -1) & (y < -1)) | ((x > 1) & (y > 0))
+    area, patches = touched(faces, points, two)
     assert patches == 2
     assert area == pytest.approx(4 + 6, rel=0.08)  # as RIM_SHARE is less than half
-    leaning = points.reshape(-1, 3) * [1, 1, 0] + points.reshape(-1, 3)[:, :1] * [0, 0, 1]
+    leaning = points + points[:, :1] * [0, 0, 1]
     assert touched(faces, leaning, two) == (pytest.approx(np.sqrt(2) * area), 2)
-    assert touched(faces, points.reshape(-1, 3), np.ones_like(two)) == (pytest.approx(36), 1)
+    assert touched(faces, points, np.ones_like(two)) == (pytest.approx(36), 1)
     one = np.zeros_like(two)
     one[50, 2] = True
-    assert touched(faces, points.reshape(-1, 3), one) == (pytest.approx(faces.areas[50, 2]), 1), (
-        "a tip that presses touches"
-    )
-    assert touched(faces, points.reshape(-1, 3), np.zeros_like(two)) == (0.0, 0)
+    said = "a tip that presses touches"
+    assert touched(faces, points, one) == (pytest.approx(faces.areas[50, 2]), 1), said
+    assert touched(faces, points, np.zeros_like(two)) == (0.0, 0)
 
 
 def test_force_is_its_normal_part_and_friction_which_obeys_coulombs_law(tmp_path: Path) -> None:

@@ -43,20 +43,13 @@ def camera(mini: Sensor) -> PinholeCamera:
 @pytest.fixture(scope="module")
 def pressed() -> Run:
     """A ball off the middle of a pad of the Mini's size: pressed, then slid along +x."""
-    return run(
-        scene(SphereSdf(4.0), poses(PATH), pad=gel(25.25, 20.75, 4.0), friction=COEFFICIENT, edge=0.75), FOOTPRINT
-    )
+    pad = gel(25.25, 20.75, 4.0)
+    return run(scene(SphereSdf(4.0), poses(PATH), pad=pad, friction=COEFFICIENT, edge=0.75), FOOTPRINT)
 
 
 @pytest.fixture(scope="module")
-def surface(pressed: Run) -> gel_surface.GelSurface:
-    grid = pressed.problem.mesh
-    return gel_surface.GelSurface(grid.points, grid.facets["coated"])
-
-
-@pytest.fixture(scope="module")
-def maps(pressed: Run, surface: gel_surface.GelSurface, camera: PinholeCamera) -> list[Maps]:
-    return [maps_of(pressed.problem, surface.moved(s.x), s, camera) for s in pressed.states]
+def maps(pressed: Run, camera: PinholeCamera) -> list[Maps]:
+    return [maps_of(pressed.problem, pressed.face.moved(s.x), s, camera) for s in pressed.states]
 
 
 def test_maps_keep_the_resultants(pressed: Run, maps: list[Maps]) -> None:
@@ -71,9 +64,8 @@ def test_maps_keep_the_resultants(pressed: Run, maps: list[Maps]) -> None:
     rubbed = (found.traction * found.area[..., None]).sum((0, 1))
     along = [(state.friction * axis).sum() for axis in tangents(-state.normal)]
     assert along[0] > state.friction[..., 0].sum() > 0.3 * size  # the face is not level
-    assert rubbed == pytest.approx(
-        along, abs=0.05 * size
-    )  # the sizes are kept, and so the sum on this coarse mesh is not
+    # the sizes are kept, and so the sum on this coarse mesh is not
+    assert rubbed == pytest.approx(along, abs=0.05 * size)
 
 
 def test_torque_is_about_the_origin() -> None:
@@ -87,9 +79,9 @@ def test_torque_is_about_the_origin() -> None:
 
 
 def test_the_height_of_a_dent_follows_the_ball(
-    pressed: Run, surface: gel_surface.GelSurface, maps: list[Maps], mini: Sensor, camera: PinholeCamera
+    pressed: Run, maps: list[Maps], mini: Sensor, camera: PinholeCamera
 ) -> None:
-    z = camera_maps.View(Sheet.over(mini.gel, 0.1), surface.moved(pressed.states[PRESSED].x), camera).height()
+    z = camera_maps.View(Sheet.over(mini.gel, 0.1), pressed.face.moved(pressed.states[PRESSED].x), camera).height()
     assert z.min() == pytest.approx(-0.8, abs=0.03)
     assert 0 < z.max() < 0.1  # the rim bulges
     rows, columns = np.nonzero(maps[PRESSED].contact)
@@ -100,8 +92,8 @@ def test_the_height_of_a_dent_follows_the_ball(
     assert np.abs(gap).mean() < 0.025
 
 
-def test_a_surface_reproduces_its_nodes_and_linear_fields(surface: gel_surface.GelSurface, pressed: Run) -> None:
-    grid = pressed.problem.mesh
+def test_a_surface_reproduces_its_nodes_and_linear_fields(pressed: Run) -> None:
+    grid, surface = pressed.problem.mesh, pressed.face
     rng = np.random.default_rng(0)
     inner = rng.uniform([-12, -10], [12, 10], (200, 2))
     now = surface.moved(pressed.states[SLID].x)
@@ -115,9 +107,9 @@ def test_a_surface_reproduces_its_nodes_and_linear_fields(surface: gel_surface.G
     assert np.isnan(surface.at(np.array([[40.0, 0.0]]))).any()
 
 
-def test_a_surface_is_smooth_across_its_cells(surface: gel_surface.GelSurface, pressed: Run) -> None:
+def test_a_surface_is_smooth_across_its_cells(pressed: Run) -> None:
     """Slopes on either side of a cell's edge agree, unlike those of bilinear cells."""
-    now = surface.moved(pressed.states[PRESSED].x)
+    now = pressed.face.moved(pressed.states[PRESSED].x)
     x = np.unique(now.rest[:, 0])
     edges = x[(x > -0.5) & (x < 3.5)]
     h = 1e-4
@@ -179,13 +171,11 @@ def test_traction_is_forced_on_stress_by_the_least_change() -> None:
     assert agreeing(found, n, traction) == pytest.approx(found)
 
 
-def test_gap_and_normals_of_the_dent(
-    pressed: Run, surface: gel_surface.GelSurface, maps: list[Maps], mini: Sensor
-) -> None:
+def test_gap_and_normals_of_the_dent(pressed: Run, maps: list[Maps], mini: Sensor, camera: PinholeCamera) -> None:
     """Under the ball the gap is about none and the normals are the ball's own; elsewhere they are those of a ball over
     a nearly level face."""
-    camera, state = PinholeCamera.from_sensor(mini), pressed.states[PRESSED]
-    view = camera_maps.View(Sheet.over(mini.gel, 0.1), surface.moved(state.x), camera)
+    state = pressed.states[PRESSED]
+    view = camera_maps.View(Sheet.over(mini.gel, 0.1), pressed.face.moved(state.x), camera)
     gap, normals, z = view.gap(pressed.scene.shape, state.pose), view.normals(), view.height()
     assert np.linalg.norm(normals, axis=-1) == pytest.approx(np.ones(camera.shape))
     rows, columns = np.indices(camera.shape)
@@ -201,13 +191,11 @@ def test_gap_and_normals_of_the_dent(
     assert np.degrees(np.arccos((normals * inward).sum(-1)[inner])).max() < 4
     right = (at[..., 0] > middle[0] + 0.8) & inner
     assert (normals[right][:, 0] < -0.1).all()  # right of the ball the dent rises to the right
-    flat = camera_maps.View(Sheet.over(mini.gel, 0.2), surface, camera).normals()
+    flat = camera_maps.View(Sheet.over(mini.gel, 0.2), pressed.face, camera).normals()
     assert flat == pytest.approx(np.broadcast_to([0.0, 0.0, 1.0], flat.shape), abs=1e-12)
 
 
-def test_a_face_in_contact_is_the_balls_own(
-    pressed: Run, surface: gel_surface.GelSurface, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_face_in_contact_is_the_balls_own(pressed: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """A ball's dent is alike to all sides: what its slope varies by around a circle is the mesh's ripple."""
     state, shape, angles = pressed.states[PRESSED], pressed.scene.shape, np.linspace(0, 2 * np.pi, 128, endpoint=False)
     out, middle, step = np.stack([np.cos(angles), np.sin(angles)], -1), np.array(PATH[PRESSED][:2]), 0.02
@@ -218,14 +206,14 @@ def test_a_face_in_contact_is_the_balls_own(
         slope = np.degrees(np.arctan2(rise[:, 2], (rise[:, :2] * out).sum(1)))
         return float(np.sqrt(2 * (np.abs(np.fft.rfft(slope)[1:] / len(angles)) ** 2).sum()))
 
-    smooth, plain = surface.pressed(pressed.problem, state), surface.moved(state.x)
+    smooth, plain = pressed.face.pressed(pressed.problem, state), pressed.face.moved(state.x)
     assert ripple(smooth, 0.8) < 0.15 < 0.4 < ripple(plain, 0.8)
     assert ripple(smooth, 1.9) < 0.8 * ripple(plain, 1.9)  # at the rim
     at = smooth.at(middle + np.random.default_rng(0).uniform(-0.8, 0.8, (200, 2)))
     assert np.abs(shape.distance(Pose.of(state.pose).local(at))[0]).max() < 2e-3
     assert (smooth.now == plain.now).all()
     monkeypatch.setattr(gel_surface, "MIN_RADIUS_EDGES", 10)  # what the mesh does not resolve is left as it is solved
-    assert np.array_equal(surface.pressed(pressed.problem, state).at(middle + out), plain.at(middle + out))
+    assert np.array_equal(pressed.face.pressed(pressed.problem, state).at(middle + out), plain.at(middle + out))
 
 
 def test_sliding_cells_have_all_the_friction_there_can_be(maps: list[Maps]) -> None:

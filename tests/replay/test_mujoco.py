@@ -41,6 +41,13 @@ def example() -> dict[str, ModuleType]:
     return {name: loaded(EXAMPLE / f"{name}.py") for name in ("recorder", "presses")}
 
 
+def pressed(example: dict[str, ModuleType], name: str, depth: float, slide: float, folder: Path) -> replay.Prepared:
+    log = folder / "log.npz"
+    example["presses"].record(name, depth, slide, 'friction="0.6" solref="-2100 -90"', log, rows=4)
+    recipe = str(EXAMPLE / f"{name}.yaml")
+    return replay.prepare([log], recipe, folder / "out", Conventions("mujoco"), replay.Choice())
+
+
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
 def test_the_recorded_force_is_that_on_the_sensor(example: dict[str, ModuleType], kind: str, tmp_path: Path) -> None:
     """It equals the constraint force that MuJoCo applies to the pad's joints, whichever geom a contact names first."""
@@ -66,9 +73,7 @@ def test_the_recorded_force_is_that_on_the_sensor(example: dict[str, ModuleType]
 
 def test_the_example_presses_as_deep_as_it_is_asked_to(example: dict[str, ModuleType], tmp_path: Path) -> None:
     """The logs that docs/cookbook/other_simulators.md replays: the ball meets the gel, compressed and dragged along."""
-    example["presses"].record("ball", 0.5, 0.5, 'friction="0.6" solref="-2100 -90"', tmp_path / "log.npz", rows=4)
-    how, recipe = Conventions("mujoco"), str(EXAMPLE / "ball.yaml")
-    made = replay.prepare([tmp_path / "log.npz"], recipe, tmp_path / "out", how, replay.Choice())
+    made = pressed(example, "ball", 0.5, 0.5, tmp_path)
     (log,) = made.logs
     centre = selection.relative(log, made.sensor_pose, Placement())[:, :3, 3]
     assert 3.5 < centre[:, 2].min() < 3.7  # of a ball of 4 mm over the face
@@ -81,10 +86,7 @@ def test_the_example_presses_as_deep_as_it_is_asked_to(example: dict[str, Module
 
 def test_a_bolt_under_a_sensor_that_looks_down_is_turned(example: dict[str, ModuleType], tmp_path: Path) -> None:
     """The sensor looks down, so the axis of the file that points away from its gel is -z."""
-    example["presses"].record("bolt", 0.3, 0.0, 'friction="0.6" solref="-2100 -90"', tmp_path / "log.npz", rows=4)
-    how, recipe = Conventions("mujoco"), str(EXAMPLE / "bolt.yaml")
-    made = replay.prepare([tmp_path / "log.npz"], recipe, tmp_path / "out", how, replay.Choice())
-    (row,) = plan.load(made.recipe).rows
+    (row,) = plan.load(pressed(example, "bolt", 0.3, 0.0, tmp_path).recipe).rows
     assert row.recipe.indenter.up == "-z"
     low = np.array([pose.pose for pose in row.replayed(0)])[:, :3, :]
     assert low[:, 2, 2] == pytest.approx(1)  # upright

@@ -2,20 +2,20 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from helpers.command import refused, told
 from helpers.small_recipe import BALL
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner, Result
 
 from tacgen import replay
 from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle.bundle import read
-from tacgen.cli.main import app
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.indenters import Box, Mesh
@@ -39,6 +39,10 @@ def matrices(positions: Array, turns: Rotation) -> Array:
     return poses
 
 
+def matrix(placed: Placement) -> Array:
+    return matrices(np.array([placed.position_mm]), Rotation.from_quat([placed.quaternion], scalar_first=True))[0]
+
+
 class World:
     """A ball pressed and slid by tacgen, as a simulator with a moving sensor would have recorded it."""
 
@@ -53,17 +57,16 @@ class World:
         self.count = len(relative)
         rng = np.random.default_rng(4)
         self.sensor = matrices(rng.normal(size=(self.count, 3)) * 200, Rotation.random(self.count, rng=rng))
-        mount = matrices(np.array([MOUNT.position_mm]), Rotation.from_quat([MOUNT.quaternion], scalar_first=True))
         centre = np.eye(4)
         centre[2, 3] = 4.0
-        self.face = self.sensor @ mount
+        self.face = self.sensor @ matrix(MOUNT)
         self.ball = self.face @ relative @ centre
-        whole = np.concatenate([np.zeros((3, 3)), ERROR * self.force])
-        self.world_force = np.einsum("nij,nj->ni", self.face[:, :3, :3], whole)
         self.torque = bundle["/frames/torque"]
-        turned = np.concatenate([np.zeros((3, 3)), ERROR * self.torque])
-        arm = self.face[:, :3, 3] - self.sensor[:, :3, 3]
-        self.world_torque = np.einsum("nij,nj->ni", self.face[:, :3, :3], turned) + np.cross(arm, self.world_force)
+        self.world_force, torque = (
+            np.einsum("nij,nj->ni", self.face[:, :3, :3], np.concatenate([np.zeros((3, 3)), ERROR * load]))
+            for load in (self.force, self.torque)
+        )
+        self.world_torque = torque + np.cross(self.face[:, :3, 3] - self.sensor[:, :3, 3], self.world_force)
 
     def save(self, path: Path) -> Path:
         """The log, in m and with quaternions x y z w."""
@@ -78,6 +81,12 @@ class World:
             torque=self.world_torque / 1000,
         )
         return path
+
+    def first_rows(self, start: float = 0.0, name: str = "log", *, force: bool = False) -> ContactLog:
+        """Two rows, from a time on, with the simulator's forces or without."""
+        steps = np.arange(2)
+        forces = self.world_force[:2] if force else None
+        return ContactLog(name, steps, start + 0.1 * steps, self.ball[:2], self.sensor[:2], forces, True)
 
 
 @pytest.fixture(scope="module")
@@ -94,18 +103,15 @@ def recipe(tmp_path: Path) -> Path:
     return path
 
 
-def run(log: Path, recipe: Path, out: Path, *more: str) -> Result:
-    arguments = ["replay", str(log), "--recipe", str(recipe), "-o", str(out), "--quaternion", "xyzw", "--units", "m"]
-    return CliRunner().invoke(app, [*arguments, *more])
+def words(log: Path, recipe: Path, out: Path, *more: str) -> tuple[object, ...]:
+    return ("replay", log, "--recipe", recipe, "-o", out, "--quaternion", "xyzw", "--units", "m", *more)
 
 
 @pytest.mark.slow
 def test_the_error_of_a_simulator_is_found_to_rounding(world: World, recipe: Path, tmp_path: Path) -> None:
     """Sensor and ball move in the world, and the simulator's forces are 1.2 times tacgen's."""
     log, out = world.save(tmp_path / "log.npz"), tmp_path / "out"
-    done = run(log, recipe, out, "--json")
-    assert done.exit_code == 0, done.output
-    (found,) = json.loads(done.stdout)["logs"]
+    (found,) = json.loads(told(*words(log, recipe, out, "--json")))["logs"]
     assert (found["frames"], found["in_contact"]) == (5, 4)
     assert found["normal"]["ours_n"] == pytest.approx(-world.force[:, 2].min(), rel=1e-3)
     assert found["normal"]["theirs_n"] / found["normal"]["ours_n"] == pytest.approx(ERROR, rel=1e-3)
@@ -125,8 +131,8 @@ def test_the_error_of_a_simulator_is_found_to_rounding(world: World, recipe: Pat
     assert (out / "forces.png").stat().st_size > 10_000
     assert "torque about the sensor's origin [N mm]" in (out / "forces.txt").read_text()
     assert "normal force [N]" in (out / "forces.txt").read_text()
-    assert run(log, recipe, out).exit_code == 0  # the second time the bundle is kept
-    assert CliRunner().invoke(app, ["validate", str(out / "recipe.yaml")]).exit_code == 0
+    told(*words(log, recipe, out))  # the second time the bundle is kept
+    told("validate", out / "recipe.yaml")
 
 
 def test_rows_are_chosen(world: World, recipe: Path, tmp_path: Path) -> None:
@@ -156,14 +162,12 @@ def test_an_object_that_is_lifted_between_contacts_is_not_dragged_through_them()
 
 def test_a_log_without_contact_is_told_in_a_line(world: World, recipe: Path, tmp_path: Path) -> None:
     log = world.save(tmp_path / "log.npz")
-    done = run(log, recipe, tmp_path / "out", "--rows", ":1")
-    assert done.exit_code == 2
-    assert done.stderr.splitlines() == [
+    assert refused(*words(log, recipe, tmp_path / "out", "--rows", ":1")).splitlines() == [
         "log: no contact: closest approach 5 mm, in row 1: check units, sensor_pose and indenter_pose"
     ]
-    wrong = run(log, recipe, tmp_path / "out", "--set", "trajectory[0].replay.sensor_pose.position_mm=[3, -2, -24]")
-    assert wrong.exit_code == 2
-    assert "log: no contact, though its simulator has up to" in wrong.stderr
+    wrong = ("--set", "trajectory[0].replay.sensor_pose.position_mm=[3, -2, -24]")
+    said = refused(*words(log, recipe, tmp_path / "out", *wrong))
+    assert "log: no contact, though its simulator has up to" in said
 
 
 def test_several_logs_are_scenes(world: World, recipe: Path, tmp_path: Path) -> None:
@@ -179,38 +183,32 @@ def test_several_logs_are_scenes(world: World, recipe: Path, tmp_path: Path) -> 
 
 def test_recipes_that_no_log_fits(world: World, recipe: Path, tmp_path: Path) -> None:
     log = world.save(tmp_path / "log.npz")
-    for sets, says in (
-        (
-            "vary={method: random, samples: 2, over: {contact.friction: {uniform: [0, 1]}}}",
-            "vary: a log is of one sensor",
-        ),
-        ("indenter={shape: box, size_x_mm: 4, size_y_mm: 4}", "indenter: where is the box in the recorded body?"),
-        ("trajectory[0].replay.sensor_pose.position_mm=[1]", "sensor_pose.position_mm"),
+    varied = "vary={method: random, samples: 2, over: {contact.friction: {uniform: [0, 1]}}}"
+    box = "indenter={shape: box, size_x_mm: 4, size_y_mm: 4}"
+    for option, value, says in (
+        ("--set", varied, "vary: a log is of one sensor"),
+        ("--set", box, "indenter: where is the box in the recorded body?"),
+        ("--set", "trajectory[0].replay.sensor_pose.position_mm=[1]", "sensor_pose.position_mm"),
+        ("--rows", "3-4", "--rows 3-4: must be FIRST:LAST"),
+        ("--near-mm", "0", "--near-mm 0: must be more than 0"),
     ):
-        done = run(log, recipe, tmp_path / "out", "--set", sets)
-        assert done.exit_code == 2, says
-        assert says in done.stderr
-    assert run(log, recipe, tmp_path / "out", "--rows", "3-4").stderr.startswith("--rows 3-4: must be FIRST:LAST")
-    assert run(log, recipe, tmp_path / "out", "--near-mm", "0").stderr.startswith("--near-mm 0: must be more than 0")
+        assert says in refused(*words(log, recipe, tmp_path / "out", option, value))
 
 
 def test_a_mesh_is_where_its_file_was_recorded(tmp_path: Path) -> None:
     """Its indenter has the axis up that pointed away from the gel, and stands where the simulator had it."""
-    trimesh.creation.box((0.02, 0.008, 0.006), trimesh.transformations.translation_matrix((0.01, 0.05, 0.002))).export(
-        tmp_path / "thing.stl"
-    )
-    shape = Mesh(file=str(tmp_path / "thing.stl"), scale=1000)
+    file, aside = tmp_path / "thing.stl", trimesh.transformations.translation_matrix((0.01, 0.05, 0.002))
+    trimesh.creation.box((0.02, 0.008, 0.006), aside).export(file)
+    shape = Mesh(file=str(file), scale=1000)
     for axis, name in ((np.array([0, -1, 0]), "-y"), (np.array([1, 0, 0]), "+x")):
         turn, _ = Rotation.align_vectors([[0, 0, 1]], [axis])  # the body's axis points away from the gel
         turns = (Rotation.from_rotvec([0.1, 0.2, 0.3]) * turn).as_matrix()[None]
         body = selection.body_of(shape, None, turns)
         assert body.indenter.up == name
-        placed = mesh_import.placed(mesh_file.read(tmp_path / "thing.stl"), up=name, scale=1000.0).vertices
-        inner = matrices(
-            np.array([body.pose.position_mm]), Rotation.from_quat([body.pose.quaternion], scalar_first=True)
-        )
-        there = placed @ inner[0, :3, :3].T + inner[0, :3, 3]
-        assert np.sort(there, 0) == pytest.approx(np.sort(mesh_file.read(tmp_path / "thing.stl").vertices * 1000, 0))
+        placed = mesh_import.placed(mesh_file.read(file), up=name, scale=1000.0).vertices
+        inner = matrix(body.pose)
+        there = placed @ inner[:3, :3].T + inner[:3, 3]
+        assert np.sort(there, 0) == pytest.approx(np.sort(mesh_file.read(file).vertices * 1000, 0))
         assert body.distance(placed.mean(0)[None]) == pytest.approx(-3.0)
         assert body.lowest(np.eye(4)) == pytest.approx(0.0)
 
@@ -229,25 +227,20 @@ def test_nearness_never_leaves_a_touching_row_out() -> None:
 
 
 def test_the_text_says_where_the_largest_force_is_and_how_far_off(world: World) -> None:
-    steps = np.arange(2)
-    log = ContactLog("press", steps, 0.1 * steps, world.ball[:2], world.sensor[:2], world.world_force[:2], True)
+    log = world.first_rows(name="press", force=True)
     ours, std = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -2.0]]), np.full((2, 3), 0.05)
     found = comparison.Compared(log, "scene-00000", "", ours, 0 * ours, std, 1.5 * ours)
-    lines = comparison.text([found]).splitlines()
-    lines = [" ".join(line.split()) for line in lines]
+    lines = [" ".join(line.split()) for line in comparison.text([found]).splitlines()]
     assert lines[2] == "press 2 2 2 +- 0.05 3 +50.0 % 0.791 50.0 %"
     assert lines[5] == "press < 0.001 < 0.001 - < 0.001 -"
     assert lines[-1] == "1 0.1 0.000 0.000 -2.000 0.050 0.050 0.050 0.000 0.000 -3.000 0.000 0.000 -1.000"
-    smooth = comparison.Compared(
-        log.__class__(**(vars(log) | {"friction": False})), "scene-00000", "", ours, 0 * ours, std, 1.5 * ours
-    )
+    smooth = replace(found, log=replace(log, friction=False))
     assert "theirs_n" not in smooth.summary()["tangential"]  # of normal forces alone
 
 
 def test_a_log_without_forces_has_tacgens_alone(world: World, tmp_path: Path) -> None:
-    steps = np.arange(2)
-    log = ContactLog("log", steps, 0.1 * steps, world.ball[:2], world.sensor[:2], None, True)
-    found = comparison.Compared(log, "scene-00000", "", world.force[:2], 0 * world.force[:2], None, None)
+    ours = world.force[:2]
+    found = comparison.Compared(world.first_rows(), "scene-00000", "", ours, 0 * ours, None, None)
     assert "theirs_n" not in found.summary()["normal"]
     (first, *_) = csv.DictReader(comparison.table([found]).splitlines())
     assert first["simulator_z_n"] == first["error_z_n"] == first["std_z_n"] == ""
@@ -256,9 +249,8 @@ def test_a_log_without_forces_has_tacgens_alone(world: World, tmp_path: Path) ->
 
 
 def test_times_in_seconds_since_1970_stay_distinct(world: World) -> None:
-    steps, start = np.arange(2), 1.7e9
-    log = ContactLog("log", steps, start + 0.1 * steps, world.ball[:2], world.sensor[:2], None, True)
-    found = comparison.Compared(log, "scene-00000", "", world.force[:2], 0 * world.force[:2], None, None)
-    assert [row["time_s"] for row in csv.DictReader(comparison.table([found]).splitlines())] == [
-        "1700000000", "1700000000.1"]  # fmt: skip
+    ours = world.force[:2]
+    found = comparison.Compared(world.first_rows(1.7e9), "scene-00000", "", ours, 0 * ours, None, None)
+    times = [row["time_s"] for row in csv.DictReader(comparison.table([found]).splitlines())]
+    assert times == ["1700000000", "1700000000.1"]
     assert comparison.text([found]).splitlines()[-1].split()[:2] == ["1", "1700000000.1"]

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.command import refused, told
 from helpers.synthetic import write
 from PIL import Image
-from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
 from tacgen.bundle.bundle import read
-from tacgen.cli.main import app
 from tacgen.report import animation
 
 
@@ -28,10 +27,9 @@ def frames(film: Path) -> list[np.ndarray]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "count", "still"), [("webp", 12, 2), ("webp", 4, 0), ("gif", 3, 0)])
 def test_every_frame_is_another(tmp_path: Path, kind: str, count: int, still: int) -> None:
-    path = write(tmp_path / "x.h5", frames=count)
-    done = CliRunner().invoke(app, ["show", str(path), "--animate", str(tmp_path / "out" / f"film.{kind}")])
-    assert done.exit_code == 0, done.output
-    seen = frames(tmp_path / "out" / f"film.{kind}")
+    film = tmp_path / "out" / f"film.{kind}"
+    told("show", write(tmp_path / "x.h5", frames=count), "--animate", film)
+    seen = frames(film)
     assert len(seen) == count
     top = seen[0].shape[0] // 2  # above are the panels, below the force and its cursor
     changed = [(np.abs(a - b).max(axis=-1) > 60) for a, b in pairwise(seen)]
@@ -75,9 +73,8 @@ def test_what_cannot_be_made_is_one_line(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("PATH", "")
     with pytest.raises(UserError, match=r"^\.mp4: needs ffmpeg on the PATH"):
         animation.write(read(path), tmp_path / "film.mp4")
-    done = CliRunner().invoke(app, ["show", str(path), "--animate", "x.gif", "--field", "slip"])
-    assert done.exit_code == 2
-    assert done.stderr == "--animate: draws a film of its own; leave out --out and --field\n"
+    said = refused("show", path, "--animate", "x.gif", "--field", "slip")
+    assert said == "--animate: draws a film of its own; leave out --out and --field\n"
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")

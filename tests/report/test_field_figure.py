@@ -4,12 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.command import refused, told
 from helpers.synthetic import write
 from matplotlib.collections import LineCollection
-from typer.testing import CliRunner
 
 from tacgen.bundle.bundle import read
-from tacgen.cli import main as cli
 from tacgen.fem.elements import HEX_CORNERS
 from tacgen.report import field_figure
 from tacgen.report.plane_cut import crossed, cut, outline
@@ -28,8 +27,7 @@ Array = np.ndarray
 )
 def test_a_field_is_drawn_with_its_unit(tmp_path: Path, field: str, bars: list[str]) -> None:
     bundle, out = write(tmp_path / "x.h5"), tmp_path / "x.png"
-    done = CliRunner().invoke(cli.app, ["show", str(bundle), "--field", field, "-o", str(out)])
-    assert done.exit_code == 0, done.output
+    told("show", bundle, "--field", field, "-o", out)
     assert out.stat().st_size > 5000
     drawn = field_figure.figure(read(bundle), field)
     rows = len(bars)
@@ -78,24 +76,14 @@ def test_a_triangle_mesh_crosses_a_plane_in_lines() -> None:
 def test_what_cannot_be_drawn_is_reported_in_one_line(tmp_path: Path) -> None:
     bare = write(tmp_path / "x.h5", outputs=frozenset({"force"}))
     for args, words in (
-        (
-            ("--field", "hight", "-o", "x.png"),
-            "hight: unknown field, did you mean height?; there are: camera, markers, pressure",
-        ),
-        (("--field", "stress", "-o", "x.png"), "has no /fields/cauchy_stress: the recipe's outputs need stress"),
-        (("--field", "slip", "-o", "x.png"), "the recipe's outputs need traction"),
-        (("--field", "slip"), "--field: draws a picture, and needs --out"),
+        ("hight -o x.png", "hight: unknown field, did you mean height?; there are: camera, markers, pressure"),
+        ("stress -o x.png", "has no /fields/cauchy_stress: the recipe's outputs need stress"),
+        ("slip -o x.png", "the recipe's outputs need traction"),
+        ("slip", "--field: draws a picture, and needs --out"),
     ):
-        done = CliRunner().invoke(cli.app, ["show", str(bare), *args])
-        assert done.exit_code == 2
-        assert words in done.stderr
-    done = CliRunner().invoke(cli.app, ["show", str(write(tmp_path / "y.h5")), "--field", "slip", "-o", "y.doc"])
-    assert (done.exit_code, "unknown kind of picture" in done.stderr) == (2, True)
-
-
-def area(corners: Array) -> float:
-    side = corners[:, 1:] - corners[:, :1]
-    return float(np.abs(np.linalg.det(side)).sum() / 2)
+        assert words in refused("show", bare, "--field", *args.split())
+    said = refused("show", write(tmp_path / "y.h5"), "--field", "slip", "-o", "y.doc")
+    assert "unknown kind of picture" in said
 
 
 @pytest.mark.parametrize("y", [-0.93, -0.2, 0.41])
@@ -107,7 +95,8 @@ def test_a_cut_is_whole_and_interpolates(y: float) -> None:
     assert values == pytest.approx(at @ slope)
     rim = outline(corners)
     total = np.linalg.norm(rim[:, 1] - rim[:, 0], axis=1).sum()
-    assert area(corners) == pytest.approx(_polygon(points, y), rel=0.02)
+    area = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / 2
+    assert area == pytest.approx(_polygon(points, y), rel=0.02)
     assert 6 < total < 10  # around a square of side 2, and nothing inside it
 
 

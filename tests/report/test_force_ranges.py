@@ -11,15 +11,7 @@ TRUE = np.linspace(0.1, 40, 400)
 def test_errors_stand_beside_those_of_the_mean_in_each_range() -> None:
     found = force_ranges.ranges(TRUE, 1.1 * TRUE, 10.0)
     assert [one["low"] for one in found] == [0.0, 2.0, 5.0, 10.0, 14.0, 20.0, 30.0]
-    assert [one["high"] for one in found] == [
-        2.0,
-        5.0,
-        10.0,
-        14.0,
-        20.0,
-        30.0,
-        45.0,
-    ]  # not the largest force seen there
+    assert [one["high"] for one in found] == [2.0, 5.0, 10.0, 14.0, 20.0, 30.0, 45.0]  # not the largest force seen
     assert sum(one["n"] for one in found) == 400
     for one in found:
         assert one["mae"] == pytest.approx(0.1 * one["true"])
@@ -29,9 +21,8 @@ def test_errors_stand_beside_those_of_the_mean_in_each_range() -> None:
 
 @pytest.mark.parametrize("stop", [12.0, 25.0])
 def test_the_force_where_predictions_stop_growing_is_found(stop: float) -> None:
-    assert force_ranges.saturation(force_ranges.ranges(TRUE, np.minimum(TRUE, stop), 10.0)) == pytest.approx(
-        stop, abs=6
-    )
+    found = force_ranges.saturation(force_ranges.ranges(TRUE, np.minimum(TRUE, stop), 10.0))
+    assert found == pytest.approx(stop, abs=6)
     assert force_ranges.saturation(force_ranges.ranges(TRUE, TRUE, 10.0)) is None
 
 

@@ -8,15 +8,14 @@ from typing import Any
 
 import pytest
 from batch.test_local import TASK, spoil
+from helpers.command import refused, told
 from helpers.scenes import make_plan
 from helpers.synthetic import attributes, write
-from typer.testing import CliRunner
 
 from tacgen import batch
 from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, pack, run_status
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.cli.main import app
 from tacgen.report import dataset_card, dataset_summary, html_report
 from tacgen.report.sheet import short
 
@@ -32,9 +31,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         row = plan.rows[k]
         known = {"input_key": row.key, "seed": row.seed, "scene_index": k, "values": row.values}
         write(out / f"{row.name}.h5", stop=7 if k == 4 else None, **known)
-    (out / "scene-00000.timing.json").write_text(
-        '{"frames": 12, "seconds": {"foresee": 1.5, "solve": 3.0, "render": 6.0}}'  # foresee: presolve's former name
-    )
+    timing = '{"frames": 12, "seconds": {"foresee": 1.5, "solve": 3.0, "render": 6.0}}'  # foresee: presolve's old name
+    (out / "scene-00000.timing.json").write_text(timing)
     return out
 
 
@@ -103,19 +101,17 @@ def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
 
 
 def test_forces_are_curves_by_movement_and_shape_and_points_where_there_is_one_frame(tmp_path: Path):
-    ring = {
-        "recipe": attributes()["recipe"] | {"indenter": {"shape": "torus", "radius_mm": 3.0, "tube_radius_mm": 1.0}}
-    }
+    torus = {"shape": "torus", "radius_mm": 3.0, "tube_radius_mm": 1.0}
+    ring = {"recipe": attributes()["recipe"] | {"indenter": torus}}
     for k, (count, more) in enumerate(((12, {}), (12, ring), (1, ring))):
         write(tmp_path / f"scene-{k:05d}.h5", outputs=frozenset({"force"}), frames=count, **more)
     page = html_report.page(dataset_summary.look(tmp_path))
     forces = page[page.index("<h2 id=Forces") : page.index("<h2 id=Scenes")]
     rows = {row.partition("</h3>")[0]: row for row in forces.split("<h3>")[1:]}
     together, alone = rows["press, slide, hold, twist: 2 scenes"], rows["press: 1 scene"]
-    assert [re.findall(r'<path class="line (\w+)"', plot) for plot in together.split("</svg>")] == [
-        ["c0", "c1"]
-    ] * 3 + [[]]
-    assert [re.findall(r'<circle class="dot (\w+)"', plot) for plot in alone.split("</svg>")] == [["c1"]] * 3 + [[]]
+    lines = [re.findall(r'<path class="line (\w+)"', plot) for plot in together.split("</svg>")]
+    points = [re.findall(r'<circle class="dot (\w+)"', plot) for plot in alone.split("</svg>")]
+    assert (lines, points) == ([["c0", "c1"]] * 3 + [[]], [["c1"]] * 3 + [[]])
     assert 'class="line' not in alone
     for axis in "xyz":
         assert f">F{axis} [N]<" in alone
@@ -208,19 +204,13 @@ def test_a_pack_is_looked_at_as_the_folder_it_was_made_from(folder: Path, tmp_pa
 
 
 def test_commands_print_and_write(folder: Path, tmp_path: Path):
-    def run(*args: str) -> str:
-        done = CliRunner().invoke(app, list(args))
-        assert done.exit_code == 0, done.stderr
-        return done.stdout
-
-    assert run("show", str(folder)).splitlines()[1] == "scenes    4 ok, 1 rejected, 1 failed"
-    assert run("report", str(folder)) == f"{folder}/report.html\n"
+    assert told("show", folder).splitlines()[1] == "scenes    4 ok, 1 rejected, 1 failed"
+    assert told("report", folder) == f"{folder}/report.html\n"
     assert (folder / "report.html").exists()
-    refused = CliRunner().invoke(app, ["report", str(next(folder.glob("*.h5")))])
-    assert (refused.exit_code, "is a file, and a report is of a folder" in refused.stderr) == (2, True)
-    said = run("pack", str(folder), "-o", str(tmp_path / "p"), "--size-mb", "0.1")
+    assert "is a file, and a report is of a folder" in refused("report", next(folder.glob("*.h5")))
+    said = told("pack", folder, "-o", tmp_path / "p", "--size-mb", "0.1")
     assert re.search(r"4 scenes in \d shards?, 48 frames; left out 1 rejected scene$", said.strip())
-    assert run("check", str(tmp_path / "p")).endswith("nothing found wrong\n")
+    assert told("check", tmp_path / "p").endswith("nothing found wrong\n")
 
 
 def test_an_empty_folder_is_one_line(tmp_path: Path):

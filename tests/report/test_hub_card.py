@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.command import refused, told
 from helpers.export_scenes import needs_package_of
 from helpers.needs import needs
 from helpers.synthetic import write
 from ruamel.yaml import YAML
-from typer.testing import CliRunner
 
 from tacgen.bundle.bundle import read
-from tacgen.cli import main as cli
+from tacgen.bundle.splits import SPLITS
 from tacgen.export import export
 from tacgen.report import dataset_card, hub_card
 from tacgen.torch import TactileDataset
@@ -30,12 +30,14 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def page(kind: str, source: Path, out: Path, *options: str) -> tuple[dict[str, Any], str]:
     """The header and the text of the page that the command writes."""
-    arguments = ["export", kind, str(source), "-o", str(out), "--card", *options]
-    done = CliRunner().invoke(cli.app, arguments)
-    assert done.exit_code == 0, done.output
-    assert str(out / "README.md") in done.stdout.split()
+    assert str(out / "README.md") in told("export", kind, source, "-o", out, "--card", *options).split()
     _, head, text = (out / "README.md").read_text().split("---\n", 2)
     return YAML(typ="safe").load(head), text
+
+
+def sizes(data: Path) -> dict[str, int]:
+    """Frames of each split."""
+    return {split: len(TactileDataset(data, ("force",), split=split)) for split in SPLITS}
 
 
 @pytest.mark.parametrize("kind", ["lerobot", "webdataset", "zarr"])
@@ -45,8 +47,7 @@ def test_the_header_tells_licence_size_splits_features_and_where_the_data_are_fr
     needs_package_of(kind)
     head, text = page(kind, data, tmp_path / "out", "--licence", "cc-by-4.0")
     assert (head["license"], head["task_categories"], head["size_categories"]) == ("cc-by-4.0", ["robotics"], ["n<1K"])
-    parts = {split: len(TactileDataset(data, ("force",), split=split)) for split in ("train", "val", "test")}
-    assert {split["name"]: split["num_examples"] for split in head["dataset_info"]["splits"]} == parts
+    assert {split["name"]: split["num_examples"] for split in head["dataset_info"]["splits"]} == sizes(data)
     files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
     size = sum(path.stat().st_size for path in files if path.name not in ("README.md", ".tacgen-export.json"))
     assert head["dataset_info"]["download_size"] == size
@@ -102,17 +103,10 @@ def test_the_card_of_the_data_set_goes_with_the_export_and_a_strangers_text_does
     assert not (tmp_path / "bare" / "README.md").exists()
 
 
-def test_a_file_has_no_card(folder_of_one: Path, tmp_path: Path) -> None:
-    arguments = ["export", "vtkhdf", str(folder_of_one), "-o", str(tmp_path / "x.vtkhdf"), "--card"]
-    done = CliRunner().invoke(cli.app, arguments)
-    assert done.exit_code == 2
-    assert done.stderr.strip().endswith("a card needs a folder to be in: name one")
-
-
-@pytest.fixture
-def folder_of_one(tmp_path: Path) -> Path:
-    write(tmp_path / "one" / "scene-00000.h5")
-    return tmp_path / "one"
+def test_a_file_has_no_card(tmp_path: Path) -> None:
+    scene = write(tmp_path / "one" / "scene-00000.h5")
+    said = refused("export", "vtkhdf", scene.parent, "-o", tmp_path / "x.vtkhdf", "--card")
+    assert said.strip().endswith("a card needs a folder to be in: name one")
 
 
 @pytest.mark.parametrize("kind", ["lerobot", "webdataset"])
@@ -121,8 +115,7 @@ def test_the_hubs_library_loads_all_splits(data: Path, tmp_path: Path, kind: str
     card = hub_card.writer(kind, data, tmp_path / "out", licence="cc-by-4.0")
     export(kind, data, tmp_path / "out", card=card)
     loaded = datasets.load_dataset(str(tmp_path / "out"), cache_dir=str(tmp_path / "cache"))
-    parts = {split: len(TactileDataset(data, ("force",), split=split)) for split in ("train", "val", "test")}
-    assert {name: len(rows) for name, rows in loaded.items()} == parts
+    assert {name: len(rows) for name, rows in loaded.items()} == sizes(data)
     image = loaded["val"][0]["observation.images.tactile" if kind == "lerobot" else "rgb.png"]
     (scene,) = TactileDataset(data, ("force",), split="val").scenes
     assert np.array_equal(np.asarray(image), scene.frame("/frames/rgb", 0))

@@ -6,18 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.command import told
 from helpers.synthetic import write
-from typer.testing import CliRunner
 
 from report.test_viewer import CHROMIUM, browser
 from tacgen.bundle.bundle import read
-from tacgen.cli import main as cli
 from tacgen.report import scene_pages, viewer
 from tacgen.report.field_figure import DRAWN_FIELDS
-
-
-def tacgen_(*words: str):
-    return CliRunner().invoke(cli.app, list(words))
 
 
 @pytest.fixture
@@ -30,8 +25,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_folder_is_a_list_with_a_page_of_each_scene(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "list.html"
-    done = tacgen_("view", str(folder), "-o", str(out))
-    assert (done.exit_code, done.stdout) == (0, f"{out}\n"), done.stderr
+    assert told("view", folder, "-o", out) == f"{out}\n"
     page = out.read_text()
     links = re.findall(r'<a target=scene href="([^"#]+)#frame=(\d+)">([^<]+) \(\d+\)</a>', page)
     found = {(Path(link).stem, what): int(frame) for link, frame, what in links}
@@ -42,11 +36,11 @@ def test_a_folder_is_a_list_with_a_page_of_each_scene(folder: Path, tmp_path: Pa
     for link, *_ in links:
         assert "id=viewed" in (tmp_path / link).read_text()
     assert 'data-state="rejected"' in page
-    assert tacgen_("view", str(folder), "-o", str(out)).exit_code == 0, "its own pages are replaced"
+    told("view", folder, "-o", out)  # its own pages are replaced
 
 
 def test_pictures_of_a_report_lead_to_the_frame_that_they_show(folder: Path) -> None:
-    assert tacgen_("report", str(folder)).exit_code == 0
+    told("report", folder)
     links = re.findall(r'<a target=scene href="([^"#]+)#frame=(\d+)"><img', (folder / "report.html").read_text())
     assert [Path(link).stem for link, _ in links] == ["scene-00000", "scene-00001"]
     for link, frame in links:
@@ -57,8 +51,7 @@ def test_pictures_of_a_report_lead_to_the_frame_that_they_show(folder: Path) -> 
 def test_of_many_scenes_the_rejected_ones_have_pages_first(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_pages, "MAX_SCENE_PAGES", 1)
     out = folder.parent / "list.html"
-    done = tacgen_("view", str(folder), "-o", str(out))
-    assert done.stdout == f"{out}: 1 scenes have no page\n"
+    assert told("view", folder, "-o", out) == f"{out}: 1 scenes have no page\n"
     assert [page.name for page in (folder.parent / "list_scenes").iterdir()] == ["scene-00001.html"]
 
 
@@ -69,7 +62,7 @@ def test_show_draws_every_layer_of_the_viewer() -> None:
 @pytest.mark.parametrize("field", ["camera", "markers", "height"])
 def test_a_layer_is_drawn(field: str, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "one.png"
-    assert tacgen_("show", str(folder / "scene-00000.h5"), "--field", field, "-o", str(out)).exit_code == 0
+    told("show", folder / "scene-00000.h5", "--field", field, "-o", out)
     assert out.stat().st_size > 10_000
 
 
@@ -97,7 +90,7 @@ def test_filters_choose_scenes_in_a_browser(command: str, folder: Path) -> None:
 
     write(folder / "scene-00002.h5", edit=harder)
     out = folder.parent / "list.html"
-    assert tacgen_(command, str(folder), "-o", str(out)).exit_code == 0
+    told(command, folder, "-o", out)
     used = folder.parent / "used.html"
     used.write_text(out.read_text().rpartition("</body>")[0] + FILTERED)
     shown = browser(used, "", "--dump-dom").rpartition("USED;")[2].partition("<")[0].split(";")

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.command import refused, told
 from matplotlib.patches import Polygon
-from typer.testing import CliRunner
 
 import tacgen
 from tacgen.api.simulation import untouched
-from tacgen.cli.main import app
 from tacgen.report import sensor_figure
 
 
@@ -28,42 +27,28 @@ def test_the_sensor_is_drawn_to_scale() -> None:
     lamps = {tuple(np.round(np.array(led.radiance) / max(led.radiance), 6)) for led in sensor.leds}
     filled = [part for part in cut.patches if isinstance(part, Polygon)]
     assert lamps <= {tuple(np.round(part.get_facecolor()[:3], 6)) for part in filled}
-    gel = np.concatenate(
-        [
-            part.get_xy()
-            for part in filled
-            if part.get_facecolor()[:3] == pytest.approx((0x9C / 255, 0xC3 / 255, 0xDC / 255))
-        ]
-    )
+    blue = pytest.approx((0x9C / 255, 0xC3 / 255, 0xDC / 255))
+    gel = np.concatenate([part.get_xy() for part in filled if part.get_facecolor()[:3] == blue])
     assert (gel[:, 1].min(), gel[:, 1].max()) == pytest.approx((-sensor.gel.thickness_mm, 0.0), abs=1e-6)
     assert np.ptp(gel[:, 0]) == pytest.approx(sensor.gel.width_mm)
     assert sensor.plate
     hole = -(sensor.gel.thickness_mm + sensor.plate.thickness_mm + sensor.camera.distance_mm)
     assert [line.get_ydata()[0] for line in cut.lines if line.get_marker() == "^"] == pytest.approx([hole])
-    words = " ".join(text.get_text() for text in cut.texts)
-    assert re.search(
-        rf"{sensor.gel.thickness_mm:g}\s+mm.*plate\s+{sensor.plate.thickness_mm:g}\s+mm.*camera", words, re.S
-    )
+    words, wide = " ".join(text.get_text() for text in cut.texts), sensor.plate.thickness_mm
+    assert re.search(rf"{sensor.gel.thickness_mm:g}\s+mm.*plate\s+{wide:g}\s+mm.*camera", words, re.S)
 
 
 def test_a_gel_without_lamps_has_no_picture() -> None:
     gel = tacgen.load_sensor("gelsight_wedge").gel
     ball, start = tacgen.Sphere(radius_mm=1), tacgen.Start(clearance_mm=1)
-    frames = tacgen.simulate(
-        gel, ball, tacgen.Hold(frames=1), start=start, outputs="stress", quality="draft", may_miss=True
-    )
+    how = {"outputs": "stress", "quality": "draft", "may_miss": True}
+    frames = tacgen.simulate(gel, ball, tacgen.Hold(frames=1), start=start, **how)
     assert [panel.get_title() for panel in sensor_figure.figure(frames.bundle).axes] == ["plan", "cut at y = 0"]
 
 
 def test_the_command_draws_or_says_why_not(tmp_path: Path) -> None:
-    def show(*args: str) -> tuple[int, str]:
-        done = CliRunner().invoke(app, ["sensor", "show", *args])
-        return done.exit_code, done.output
-
-    out = tmp_path / "wedge.png"
-    assert show("gelsight_wedge", "-o", str(out)) == (0, f"{out}\n")
+    out, show = tmp_path / "wedge.png", ("sensor", "show", "gelsight_wedge", "-o")
+    assert told(*show, out) == f"{out}\n"
     assert out.stat().st_size > 20_000
-    code, said = show("gelsight_wedge", "-o", str(out))
-    assert (code, "is there already" in said) == (2, True)
-    code, said = show("gelsight_wedge", "-o", str(tmp_path / "wedge.doc"))
-    assert (code, said[:31]) == (2, ".doc: unknown kind of picture, ")
+    assert "is there already" in refused(*show, out)
+    assert refused(*show, tmp_path / "wedge.doc").startswith(".doc: unknown kind of picture, ")
