@@ -208,8 +208,7 @@ class Led(Part):
 
 
 class Noise(Part):
-    """Noise of the camera's pixels, added before the response curve, independent in each frame; white unless it has
-    patches or a correlation."""
+    """Noise of the camera's pixels per channel, added before the response curve, independent in each frame."""
 
     shot: Rgb
     """Shot-noise variance over signal, both relative to full scale: 1 / full-well electrons."""
@@ -218,10 +217,9 @@ class Noise(Part):
     strength: NotNegative = 1.0
     """Factor on the standard deviation of the total noise."""
     patch_px: Annotated[int, Field(ge=1, le=16)] = 1
-    """Side of the squares of pixels over which noise is averaged, as by cameras that send colour at half of their
-    resolution: the correlation of two pixels falls to 0 over it."""
+    """Distance over which the correlation of two pixels falls to 0; 1: white noise."""
     correlation: tuple[Correlation, Correlation, Correlation] = (0.0, 0.0, 0.0)
-    """Correlation of red with green, of red with blue and of green with blue."""
+    """Of red with green, red with blue, green with blue."""
     source: str = NO_SOURCE
 
     @model_validator(mode="after")
