@@ -13,11 +13,13 @@ from tacgen.physics.runtime import call
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor.model import Camera
+    from tacgen.sensor.model import Camera, Noise
 
     Floats = NDArray[np.float64]
 
 NOISE_QUANTILES = 1 << 16  # of the normal distribution, from which noise is drawn
+# cells of normal numbers, finer than counts, and standard deviations within which they are
+NUMBER_CELLS, MOST_DEVIATIONS = 1 << 13, 5.0
 
 
 def vignette(camera: "Camera") -> "Floats":
@@ -124,7 +126,7 @@ def develop(
     height, width, _ = radiance.shape
     out, noise, strength = np.empty(radiance.shape, np.uint8), None, 0.0
     if random is not None and camera.noise is not None:
-        noise, strength = drawn(random, height, width), camera.noise.strength
+        noise, strength = drawn(random, height, width, camera.noise), camera.noise.strength
     call(
         response.counted, (1, -(-height * width // response.PIXELS_PER_THREAD)),
         np.asarray(radiance, np.float32).reshape(-1), mix(camera, gain)[None], exposed(camera).reshape(-1),
@@ -144,9 +146,48 @@ def mix(camera: "Camera", gain: "Floats | None" = None) -> "Floats":
     return colours(camera) if gain is None else colours(camera) * gain[:, None]
 
 
-def drawn(random: np.random.Generator, height: int, width: int) -> "NDArray[np.uint16]":
-    """Numbers of the quantiles (height, 3 width) that are a picture's noise."""
-    return random.integers(0, NOISE_QUANTILES, (height, 3 * width), np.uint16)
+def drawn(
+    random: np.random.Generator, height: int, width: int, noise: "Noise | None" = None
+) -> "NDArray[np.uint16]":
+    """Numbers of the quantiles (height, 3 width) that are a picture's noise, white or as `noise` has it."""
+    if noise is None or noise.white:
+        return random.integers(0, NOISE_QUANTILES, (height, 3 * width), np.uint16)
+    return _patched(random, height, width, noise)
+
+
+def _patched(random: np.random.Generator, height: int, width: int, noise: "Noise") -> "NDArray[np.uint16]":
+    """Numbers (height, 3 width) of correlated noise: means over 2 x 2 squares, each of half the side of a patch, of
+    normal numbers whose colours are mixed by the root of their correlation."""
+    side = (noise.patch_px + 1) // 2
+    rows, columns = -(-height // side), -(-width // side)
+    if noise.patch_px == 1:
+        even = quantiles()[random.integers(0, NOISE_QUANTILES, (rows, columns, 3), np.uint16)]
+    else:
+        made = quantiles()[random.integers(0, NOISE_QUANTILES, (rows + 1, columns + 1, 3), np.uint16)]
+        down = made[1:] + made[:-1]
+        even = (down[:, 1:] + down[:, :-1]) / 2  # the variance is still 1
+    at = even.reshape(-1, 3) @ (_root(noise.correlation) * (NUMBER_CELLS / (2 * MOST_DEVIATIONS)))
+    at += NUMBER_CELLS / 2
+    np.clip(at, 0, NUMBER_CELLS - 1, out=at)
+    numbers = _numbers()[at.astype(np.int32)].reshape(rows, columns, 3)
+    spread = numbers.repeat(side, axis=1)[:, :width].reshape(rows, 3 * width)
+    return spread.repeat(side, axis=0)[:height]
+
+
+def _root(correlation: tuple[float, float, float]) -> "NDArray[np.float32]":
+    """Symmetric square root (3, 3) of the correlation of three colours."""
+    a, b, c = correlation
+    values, ways = np.linalg.eigh(np.array([[1.0, a, b], [a, 1.0, c], [b, c, 1.0]]))
+    return np.asarray(ways * np.sqrt(np.maximum(values, 0.0)) @ ways.T, np.float32)
+
+
+@lru_cache(maxsize=1)
+def _numbers() -> "NDArray[np.uint16]":
+    """Numbers of the quantiles (NUMBER_CELLS,) of normal numbers in equal cells of -+MOST_DEVIATIONS."""
+    from scipy.special import ndtr
+
+    middle = (np.arange(NUMBER_CELLS) + 0.5) / NUMBER_CELLS * 2 * MOST_DEVIATIONS - MOST_DEVIATIONS
+    return np.minimum(ndtr(middle) * NOISE_QUANTILES, NOISE_QUANTILES - 1).astype(np.uint16)
 
 
 @lru_cache(maxsize=1)

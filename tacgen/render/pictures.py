@@ -81,6 +81,8 @@ class Pictures:
         """`untouched` is the face at rest that the camera sees; `device`, PyTorch's, draws shots if it can draw what
         the renderer does. What it cannot for lack of memory the CPU draws, and `notes` say so."""
         lit, method = settings.sensor, settings.method
+        if settings.photo is not None and lit.coating.grain is not None:  # which the photograph has
+            lit = lit.model_copy(update={"coating": lit.coating.model_copy(update={"grain": None})})
         solid = untouched if lit.gel.solid is not None else None
         own = method == "path"  # whose random numbers depend on the seed and count the images
         made = _rendering.__wrapped__ if own else _rendering

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 Pixels = Annotated[int, Field(ge=8, le=4096)]
 Angle = Annotated[float, Field(ge=-20, le=20)]
+Correlation = Annotated[float, Field(ge=-1, le=1)]
 
 
 class StadiumEnd(Part):
@@ -207,7 +208,7 @@ class Led(Part):
 
 
 class Noise(Part):
-    """Noise of the camera's pixels per channel, added before the response curve: white, independent in each frame."""
+    """Noise of the camera's pixels per channel, added before the response curve, independent in each frame."""
 
     shot: Rgb
     """Shot-noise variance over signal, both relative to full scale: 1 / full-well electrons."""
@@ -215,7 +216,23 @@ class Noise(Part):
     """Read noise: standard deviation in the dark, relative to full scale."""
     strength: NotNegative = 1.0
     """Factor on the standard deviation of the total noise."""
+    patch_px: Annotated[int, Field(ge=1, le=16)] = 1
+    """Distance over which the correlation of two pixels falls to 0; 1: white noise."""
+    correlation: tuple[Correlation, Correlation, Correlation] = (0.0, 0.0, 0.0)
+    """Of red with green, red with blue, green with blue."""
     source: str = NO_SOURCE
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        a, b, c = self.correlation
+        if 1 + 2 * a * b * c - a * a - b * b - c * c < 0:
+            raise ValueError("correlation: three colours cannot be correlated so: nearer to 0")
+        return self
+
+    @property
+    def white(self) -> bool:
+        """Whether the noise of all pixels and colours is independent."""
+        return self.patch_px == 1 and not any(self.correlation)
 
 
 class Camera(Part):

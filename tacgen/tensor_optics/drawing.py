@@ -1,5 +1,6 @@
 """Pictures of many faces at once, by the light and camera of a sensor, on a GPU, by PyTorch and Warp."""
 
+import copy
 import math
 from collections.abc import Sequence
 
@@ -118,7 +119,7 @@ class Drawing:
         eye, (frames, height, width, _) = self._sensor.camera, radiance.shape
         mixes, drawn, numbers = np.array([camera_response.mix(eye, gain) for gain in gains]), None, 0
         if eye.noise is not None and any(each is not None for each in random):
-            drawn = noise.drawn(torch.as_tensor(noise.states(random).copy(), device=self._device), self._jumps)
+            drawn = self._numbers(random)
             numbers = drawn.shape[1]
         out = torch.empty(radiance.shape, dtype=torch.uint8, device=self._device)
         launch(
@@ -127,6 +128,15 @@ class Drawing:
             None if drawn is None else drawn.reshape(-1), numbers, *self._response, out.reshape(-1),
         )  # fmt: skip
         return np.asarray(out.cpu())
+
+
+    def _numbers(self, random: Sequence[np.random.Generator | None]) -> Tensor:
+        """Numbers of the quantiles (F, n) that are the pictures' noise; those of correlated noise the CPU draws."""
+        states, eye = noise.states(random), self._sensor.camera
+        if eye.noise is None or eye.noise.white:
+            return noise.drawn(torch.as_tensor(states.copy(), device=self._device), self._jumps)
+        made = [camera_response.drawn(copy.deepcopy(each), *self._shape, eye.noise) for each in random if each]
+        return torch.as_tensor(np.array(made).reshape(len(made), -1).view(np.int16), device=self._device)
 
 
 def on(device: str, values: "Array | Sequence[float]", dtype: torch.dtype) -> Tensor:

@@ -5,6 +5,7 @@ import pytest
 from helpers.tiny import sensor
 from scipy import stats
 
+from tacgen.base.errors import UserError
 from tacgen.optics import camera_response
 from tacgen.optics.camera_response import NOISE_QUANTILES
 from tacgen.recipe import assets, loading
@@ -28,11 +29,42 @@ def test_counts_scatter_as_published(name: str, mean: tuple[float, float, float]
         update={"vignette_mm": None, "colour_matrix": None}
     )
     even = np.broadcast_to(linear(mean, camera) / camera.exposure, (camera.height_px, camera.width_px, 3))
-    picture = camera_response.develop(even, camera, np.random.default_rng(0)).astype(float)
-    assert picture.std(axis=(0, 1)) == pytest.approx(published, rel=0.02)
+    pictures = [camera_response.develop(even, camera, np.random.default_rng(seed)).astype(float) for seed in range(8)]
+    picture = pictures[0]
+    assert np.std(pictures, axis=(0, 1, 2)) == pytest.approx(published, rel=0.02)
     assert picture.mean(axis=(0, 1)) == pytest.approx(mean, abs=0.1)
-    rows = picture - picture.mean(axis=(0, 1))
-    assert np.abs((rows[:, 1:] * rows[:, :-1]).mean(axis=(0, 1))).max() < 0.02 * max(published) ** 2  # white
+    if camera.noise.white:
+        rows = picture - picture.mean(axis=(0, 1))
+        assert np.abs((rows[:, 1:] * rows[:, :-1]).mean(axis=(0, 1))).max() < 0.02 * max(published) ** 2
+
+
+def test_digits_noise_is_correlated_over_patches_and_between_colours_as_in_photographs() -> None:
+    """Photographs: colour by .71, .44, .23 and 0 at distances of 1, 2, 3 and 4 px, red with green by -.48."""
+    camera = loading.read_sensor(assets.sensor_path("digit"))[0].camera.model_copy(update={"vignette_mm": None})
+    even = np.full((camera.height_px, camera.width_px, 3), 0.4, np.float32)
+    made = np.mean([_noise(camera, even, seed) for seed in range(8)], axis=0)
+    assert made[:4] == pytest.approx([0.71, 0.44, 0.23, 0.0], abs=0.06)
+    assert made[4:] == pytest.approx([-0.48, 0.08, -0.4], abs=0.04)
+
+
+def _noise(camera: Camera, even: np.ndarray, seed: int) -> np.ndarray:
+    """Correlations of a picture's noise: of red less green at distances of 1 to 4 px, and of its colours."""
+    picture = camera_response.develop(even, camera, np.random.default_rng(seed)).astype(float)
+    picture -= picture.mean(axis=(0, 1))
+    colour = picture[..., 0] - picture[..., 1]
+    apart = [np.corrcoef(colour[:, k:].ravel(), colour[:, :-k].ravel())[0, 1] for k in (1, 2, 3, 4)]
+    return np.array([*apart, *np.corrcoef(picture.reshape(-1, 3).T)[np.triu_indices(3, 1)]])
+
+
+def test_correlated_noise_has_the_variance_of_white_noise_and_impossible_correlations_are_refused() -> None:
+    noise = GRAIN.model_copy(update={"patch_px": 3, "correlation": (-0.5, 0.2, -0.3)})
+    size = {"width_px": 641, "height_px": 479, "response": "linear", "exposure": 1.0, "vignette_mm": None}
+    camera = sensor().camera.model_copy(update={"noise": noise, **size})
+    made = camera_response.develop(np.full((479, 641, 3), 0.5), camera, np.random.default_rng(0)) / 255
+    wanted = np.array(GRAIN.shot) * 0.5 + np.square(GRAIN.read) + 1 / 12 / 255**2
+    assert made.var(axis=(0, 1)) == pytest.approx(wanted, rel=0.03)
+    with pytest.raises(UserError, match="cannot be correlated"):
+        Noise(shot=(1e-4,) * 3, read=(1e-3,) * 3, correlation=(-0.9, -0.9, -0.9))
 
 
 @pytest.mark.parametrize("level", [0.2, 0.5, 0.8])

@@ -37,6 +37,7 @@ SENSORS: dict[str, dict[str, Any]] = {
             "blur_mm": 0.3,
             "colour_matrix": [[1, -0.2, -0.3], [0, 1, 0], [0, 0, 1]],
             "glare": {key: [[0.1, -0.2], [0.0, 0.1]] for key in ("red", "green", "blue")},
+            "noise": {**NOISE, "patch_px": 4, "correlation": [-0.5, 0.1, -0.4]},
         },
     },
 }
