@@ -92,7 +92,9 @@ def judged(name: str, given: list[int]) -> tuple[list[float], str, str, float]:
         begun = _spent()
         photos = Photos(unit.folder, unit.untouched, tuple(drawn[k] for k in given))
         fit = optics.calibrated(path, photos, FitLimits(bare=True))
-        problem, told, seconds = fit.problem(), str(fit.fitted.unseen), _spent() - begun
+        problem, seconds, unseen = fit.problem(), _spent() - begun, fit.fitted.unseen
+        gains = np.subtract(*unseen.degrees) if unseen is not None and unseen.degrees is not None else []
+        told = f"{unseen}; gains {' '.join(f'{gain:.2f}' for gain in gains)}"
         with TemporaryDirectory() as scratch:
             fit.write(out := Path(scratch) / "fitted.yaml", anyway=True)
             sensor = cast(LitSensor, loading.read_sensor(out)[0])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
 
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.calibrate.render_comparison import ChangeLikeness, Likeness
@@ -19,16 +20,16 @@ Array = np.ndarray
 DRAWN, FIGURE_SPP = 6, 16  # presses in the figure; samples a pixel, of gels that scatter light
 MAX_LEAVE_ONE_OUT_PRESSES = 5  # up to so many presses each is left out once
 SCORE_SCATTER_DEG = 0.1  # scatter of the difference of two files' errors of normals, over seeds [deg]
-HOLD_OUT_INTERVAL = 3  # of more, every third is held out
+HOLD_OUT_INTERVAL = 3  # of more, every third is held out, in each of the three ways
+CONFIDENCE = 0.95  # that a fit which counts as better is better on other presses of the unit
 
 
 def folds(presses: int) -> list[list[int]]:
     """Numbers, from 1, of the presses that are held out together, a list for each fit; none below two presses."""
     if presses < 2:
         return []
-    if presses <= MAX_LEAVE_ONE_OUT_PRESSES:
-        return [[k] for k in range(1, presses + 1)]
-    return [list(range(HOLD_OUT_INTERVAL, presses + 1, HOLD_OUT_INTERVAL))]
+    count = presses if presses <= MAX_LEAVE_ONE_OUT_PRESSES else HOLD_OUT_INTERVAL
+    return [list(range(first, presses + 1, count)) for first in range(1, count + 1)]
 
 
 @dataclass(frozen=True)
@@ -50,12 +51,13 @@ class HeldOutPresses:
 
     @property
     def better(self) -> bool:
-        """Whether the fit helps: the mean gain exceeds its standard error, of normals where they are known, together
-        with what two networks differ by, else of counts, and the counts do not rise by more than theirs."""
+        """Whether the fit helps: by Student's t over the presses the mean gain, of normals where they are known, else
+        of counts, is above 0, and above what two networks differ by; and the counts do not rise by their error."""
         gain, error = _gain(self.counts if self.degrees is None else self.degrees)
         counts, scatter = _gain(self.counts)
         alone = 0.0 if self.degrees is None else SCORE_SCATTER_DEG
-        return bool(gain > np.hypot(error, alone) and counts >= -scatter)
+        needed = student.ppf(CONFIDENCE, self.counts.shape[1] - 1) * np.hypot(error, alone)
+        return bool(gain > needed and counts >= -scatter)
 
     def __str__(self) -> str:
         parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]

@@ -273,7 +273,8 @@ def _held_out(photos: GaugedPhotos, presses: GaugedPresses) -> tuple[HeldOutForc
     names = photos.recordings
     group = presses.gauge.recording if len(names) > 1 else np.arange(len(presses.pictures))
     out = []
-    for held in cross_validation.folds(int(group.max()) + 1):
+    groups = cross_validation.folds(int(group.max()) + 1)
+    for held in groups if max(map(len, groups)) == 1 else groups[-1:]:  # each takes a scan of all thicknesses
         where = np.isin(group + 1, held)
         name = names[held[0] - 1] if len(held) == 1 and len(names) > 1 else f"{where.sum()} held out"
         with suppress(ValueError):  # the others are too few
