@@ -46,7 +46,8 @@ def bench(level: Level, say: Say) -> Result:
         if not given:
             shipped[name] = off
             continue
-        before, after = (float(np.mean([v for k, v in enumerate(one) if k not in given])) for one in (shipped[name], off))
+        unseen = [k for k in range(len(off)) if k not in given]
+        before, after = (float(np.mean([one[k] for k in unseen])) for one in (shipped[name], off))
         each.append([name, " ".join(map(str, given)), "no" if problem else "yes", before, after, seconds, told])
         say(f"{name} {each[-1][1]}: {problem or 'written'}; unseen {before:.2f} deg before, {after:.2f} after;"
             f" {seconds:.0f} s; by itself {told}")  # fmt: skip
