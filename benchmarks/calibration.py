@@ -36,7 +36,7 @@ def bench(level: Level, say: Say) -> Result:
     units = {name: one for name in UNITS if (one := photographs.unit(name))}
     if not units:
         raise Absent(f"no photographs in {photographs.reference()} (set TACGEN_REFERENCE)")
-    jobs = [(name, []) for name in units]
+    jobs: list[tuple[str, list[int]]] = [(name, []) for name in units]
     jobs += [(name, given) for name, one in units.items() for given in draws(len(one.presses), DRAWS[level])]
     shipped, each, rows = dict[str, list[float]](), list[list[Cell]](), list[list[Cell]]()
     for (name, given), found in zip(jobs, in_own_processes(f"{__name__}:judged", jobs), strict=True):
