@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.calibrate.render_comparison import ChangeLikeness, Likeness
@@ -21,7 +20,7 @@ DRAWN, FIGURE_SPP = 6, 16  # presses in the figure; samples a pixel, of gels tha
 MAX_LEAVE_ONE_OUT_PRESSES = 5  # up to so many presses each is left out once
 SCORE_SCATTER_DEG = 0.1  # scatter of the difference of two files' errors of normals, over seeds [deg]
 HOLD_OUT_INTERVAL = 3  # of more, every third is held out, in each of the three ways
-CONFIDENCE = 0.95  # that a fit which counts as better is better on other presses of the unit
+MIN_GAIN_SHARE = 0.1  # of the error before: smaller gains come and go with the choice of the presses
 
 
 def folds(presses: int) -> list[list[int]]:
@@ -51,13 +50,14 @@ class HeldOutPresses:
 
     @property
     def better(self) -> bool:
-        """Whether the fit helps: by Student's t over the presses the mean gain, of normals where they are known, else
-        of counts, is above 0, and above what two networks differ by; and the counts do not rise by their error."""
-        gain, error = _gain(self.counts if self.degrees is None else self.degrees)
-        counts, scatter = _gain(self.counts)
+        """Whether the fit helps: the mean gain is MIN_GAIN_SHARE of the error at least and exceeds its standard error,
+        of normals where they are known, together with what two networks differ by, else of counts, and the counts do
+        not rise by more than theirs."""
+        scores = self.counts if self.degrees is None else self.degrees
+        (gain, error), (counts, scatter) = _gain(scores), _gain(self.counts)
         alone = 0.0 if self.degrees is None else SCORE_SCATTER_DEG
-        needed = student.ppf(CONFIDENCE, self.counts.shape[1] - 1) * np.hypot(error, alone)
-        return bool(gain > needed and counts >= -scatter)
+        enough = gain >= MIN_GAIN_SHARE * scores[0].mean()
+        return bool(enough and gain > np.hypot(error, alone) and counts >= -scatter)
 
     def __str__(self) -> str:
         parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]
