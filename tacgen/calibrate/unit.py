@@ -311,7 +311,7 @@ def _contrasted(made: Unit, now: LitSensor, lights: Fitted, presses: GaugedPress
         return {}
     changes = [press.picture.astype(float) - press.untouched for press in made.photos.presses]
     found = contrast_fit.fit(photometric_fit.at_scale(now, lights.sensor), made.fitted, presses, changes)
-    return {"lights": replace(lights, sensor=contrast_fit.scaled(lights.sensor, found.factor)), "contrast": found}
+    return {"lights": replace(lights, sensor=contrast_fit.scaled(lights.sensor, found.factors)), "contrast": found}
 
 
 def _undetermined(fitted: IndentationFit, table: Path) -> Iterator[str]:
