@@ -73,7 +73,7 @@ def fit(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses, chang
         changes: of the photographs against the untouched ones (H, W, 3) [counts].
     """
     steps.expect(READER_S)
-    net, ratios = _reader(sensor, fitted, presses), _Colours(sensor, fitted, presses)
+    net, ratios = _reader(sensor, fitted, presses), ContrastByColour(sensor, fitted, presses)
     gauge, tried = presses.gauge, np.geomspace(LEAST_CONTRAST, LARGEST_CONTRAST, CONTRASTS)
     groups, every = np.unique(gauge.recording), np.ones(len(changes), bool)
 
@@ -102,7 +102,7 @@ def fit(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses, chang
     return ContrastFit(float(tried[k]), rgb(colours), float(np.abs(errors[:, k]).mean()), before, unseen, bias)
 
 
-class _Colours:
+class ContrastByColour:
     """How colours change per slope inside of contacts, photographed over rendered, by one polynomial at one place."""
 
     def __init__(self, sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses) -> None:

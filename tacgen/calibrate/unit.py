@@ -213,7 +213,8 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     except ValueError as error:
         raise UserError(f"{table}: {error}") from None
     drift = press_localisation.drift(presses.pictures, presses.gauge.recording, presses.gauge.time)
-    if wrong := [*_too_deep(raw, photos, presses), *_undetermined(raw, table)]:
+    wrong = [*_too_deep(raw, photos, presses), *_without_rim(raw, photos, presses), *_undetermined(raw, table)]
+    if wrong:
         no_dents = sensor_fit.no_dents(raw.scan.explained, drift)
         raise UserError(f"{table}: {no_dents}" if no_dents else wrong)
     made = Unit(path, sensor, {}, photos, presses.gauge, drift, asked, raw, (), None, None, presses.error)
@@ -266,6 +267,15 @@ def _too_deep(found: IndentationFit, photos: GaugedPhotos, presses: GaugedPresse
         if depth > DEEPEST_SOLVED_SHARE * (deepest := presses.dents[found.scan.below][press.ball].depth[-1]):
             yield (f"{photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
                    f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
+
+
+def _without_rim(found: IndentationFit, photos: GaugedPhotos, presses: GaugedPresses) -> Iterator[str]:
+    """A line on each press whose contact is as wide as the picture: slopes inside are the ball's at any depth."""
+    for press, depth, at in zip(photos.presses, found.depth, found.scan.located[found.scan.below].at, strict=True):
+        contact = presses.dents[found.scan.below][press.ball].contact_at(float(depth))
+        if contact > np.hypot(*(presses.view.level - at[1:]).T).max():
+            yield (f"{photos.folder / press.name}: its contact, {contact:.3g} mm in radius, covers the picture, and its"
+                   " depth shows at the rim alone: leave it out")  # fmt: skip
 
 
 def _held_out(photos: GaugedPhotos, presses: GaugedPresses) -> tuple[HeldOutForces, ...]:
