@@ -61,8 +61,13 @@ class ContrastFit:
 
     def plain(self) -> dict[str, Any]:
         """As JSON values."""
-        return {"factor": self.factors.tolist(), "mae_n": self.error, "before_n": self.before, "unseen_n": list(self.unseen),
-                "bias_n": list(self.bias)}  # fmt: skip
+        errors = {
+            "mae_n": self.error,
+            "before_n": self.before,
+            "unseen_n": list(self.unseen),
+            "bias_n": list(self.bias),
+        }
+        return {"factors": self.factors.tolist(), **errors}
 
 
 def fit(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses, changes: list[Array]) -> ContrastFit:
@@ -82,7 +87,7 @@ def fit(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses, chang
         seen = np.array([_seen(change / colours) for change in changes])
         read = [net.normals(seen / factor)[:, 0] for factor in tried]  # lights so much stronger show the same change
         forces = [fitted.zero.value + _force(one, presses) for one in read]
-        return np.array([gauge.aligned(one) for one in forces]).T - gauge.force[:, None]
+        return np.asarray(np.array([gauge.aligned(one) for one in forces]).T - gauge.force[:, None])
 
     plain = off(np.ones(3))
 

@@ -89,9 +89,7 @@ def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.
     return indentation_fit.fit(indentation_fit.thickness_scan(seen, rich=False), seen)
 
 
-@pytest.mark.parametrize(
-    ("thick", "ball"), [(2.4, BALL), pytest.param(3.7, BALL, marks=pytest.mark.slow), (2.4, WIDE)]
-)
+@pytest.mark.parametrize(("thick", "ball"), [(2.4, BALL), pytest.param(3.7, BALL, marks=pytest.mark.slow), (2.4, WIDE)])
 def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(
     unit: LitSensor, thick: float, ball: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
