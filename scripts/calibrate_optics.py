@@ -1,33 +1,19 @@
-"""Fit a shipped sensor file to the reference photographs of a real unit, by `tacgen calibrate optics`.
+"""Fit a shipped sensor file to the reference photographs of a real unit, as `tacgen calibrate optics` does.
 
     python scripts/calibrate_optics.py gelsight_mini [../shared/reference] [-o mine.yaml]
-
-It only arranges the photographs as that command needs them: background.png and presses.csv.
 """
 
 import argparse
-import csv
 import sys
-import tempfile
 from pathlib import Path
 
 from tacgen.calibrate import optics, photometric_model
+from tacgen.calibrate.photos import Photos
+from tacgen.recipe import assets
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
-
-
-def lay_out(unit: photographs.Unit, untouched: str, into: Path) -> None:
-    """background.png and presses.csv in a folder of links to photographs."""
-    into.mkdir()
-    (into / "background.png").symlink_to((unit.folder / untouched).resolve())
-    with (into / "presses.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["file", "ball_radius_mm", "x_px", "y_px", "contact_radius_px", "depth_mm"])
-        for press in unit.presses:
-            (into / press.name).symlink_to((unit.folder / press.name).resolve())
-            table.writerow([press.name, press.ball, *press.center, press.contact, press.depth])
 
 
 def main() -> None:
@@ -45,13 +31,11 @@ def main() -> None:
     if unit is None:
         sys.exit(f"no photographs in {asked.photos or photographs.reference()}")
     how = photometric_model.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
-    with tempfile.TemporaryDirectory() as scratch:
-        into = Path(scratch) / "reference"
-        lay_out(unit, photographs.UNTOUCHED[asked.sensor], into)
-        found = optics.optics(asked.start or asked.sensor, into, how)
-        print("\n".join(found.lines()))
-        if asked.out:
-            found.write(asked.out)
+    photos = Photos(unit.folder, unit.untouched, unit.presses)
+    found = optics.calibrated(assets.sensor_path(asked.start or asked.sensor), photos, how)
+    print("\n".join(found.lines()))
+    if asked.out:
+        found.write(asked.out)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 """Contrast of rendered pictures, fitted to forces: a factor on the lights, what it takes from them being stray light.
 
 Lights that are fitted to a few pictures leave the contrast open by a tenth or two: what they cannot explain (glare,
-dirt, dimples) counts as noise, or as contrast. The forces tell it. A network learns them from rendered pictures of
-presses alone, as users train theirs, and reads the photographs: with a wrong contrast all its forces are too small, or
-too large. The factor with the right ones is the contrast; each recording is judged by the factor of the others.
+dirt, dimples) counts as noise, or as contrast. How each colour changes per slope inside of contacts, photographed over
+rendered, tells their ratios; the forces tell the rest. A network learns them from rendered pictures of presses alone,
+as users train theirs, and reads the photographs: with a wrong contrast all its forces are too small, or too large. Each
+recording is judged by the factors of the others.
 """
 
 from dataclasses import dataclass
@@ -12,11 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tacgen.calibrate import steps
+from tacgen.calibrate import press_localisation, steps
 from tacgen.calibrate.cross_validation import rgb
 from tacgen.calibrate.dent_tables import HERTZ_FORCE_POWER
 from tacgen.calibrate.indentation_fit import DentFace, GaugedPresses, IndentationFit
 from tacgen.calibrate.normal_net import NormalNet
+from tacgen.calibrate.press_localisation import PressPicture
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
@@ -35,11 +37,17 @@ READER_S = 40.0  # expected work of the network [s of a core]
 class ContrastFit:
     """A factor on the lights, and the errors of forces [N] that a network reads which knows rendered pictures alone."""
 
-    factor: float
-    error: float  # mean absolute error with this factor
+    factor: float  # by the forces
+    colours: tuple[float, float, float]  # by the change of each colour per slope: further factors
+    error: float  # mean absolute error with these factors
     before: float  # the same with the lights as they were
-    unseen: tuple[float, ...]  # of each recording with the factor of the others, if there are several
+    unseen: tuple[float, ...]  # of each recording with the factors of the others, if there are several
     bias: tuple[float, ...]  # mean of read less measured forces of the same
+
+    @property
+    def factors(self) -> Array:
+        """Factors on red, green and blue light (3,)."""
+        return self.factor * np.array(self.colours)
 
     def __str__(self) -> str:
         told = f"a network that knows rendered pictures alone reads forces off by {self.error:.2f} N"
@@ -48,38 +56,81 @@ class ContrastFit:
                 f"{off:.2f} N (bias {bias:+.2f})" for off, bias in zip(self.unseen, self.bias, strict=True)
             )
             told += f", each recording with the contrast of the others {each}"
-        return f"contrast times {self.factor:.2f}: {told}; before {self.before:.2f} N"
+        times = " / ".join(f"{one:.2f}" for one in self.factors)
+        return f"contrast times {times} (red / green / blue): {told}; before {self.before:.2f} N"
 
     def plain(self) -> dict[str, Any]:
         """As JSON values."""
-        return {"factor": self.factor, "mae_n": self.error, "before_n": self.before, "unseen_n": list(self.unseen),
-                "bias_n": list(self.bias)}  # fmt: skip
+        errors = {
+            "mae_n": self.error,
+            "before_n": self.before,
+            "unseen_n": list(self.unseen),
+            "bias_n": list(self.bias),
+        }
+        return {"factors": self.factors.tolist(), **errors}
 
 
 def fit(sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses, changes: list[Array]) -> ContrastFit:
-    """The factor on a sensor's contrast with which forces read from photographs are least off.
+    """The factors on a sensor's contrast with which forces read from photographs are least off.
 
     Args:
         sensor: with the fitted thickness and lights.
         changes: of the photographs against the untouched ones (H, W, 3) [counts].
     """
     steps.expect(READER_S)
-    net = _reader(sensor, fitted, presses)
+    net, ratios = _reader(sensor, fitted, presses), ContrastByColour(sensor, fitted, presses)
     gauge, tried = presses.gauge, np.geomspace(LEAST_CONTRAST, LARGEST_CONTRAST, CONTRASTS)
-    seen = np.array([_seen(change) for change in changes])
-    read = [net.normals(seen / factor)[:, 0] for factor in tried]  # lights so much stronger show the same change
-    forces = [fitted.zero.value + _force(one, presses) for one in read]
-    off = np.array([gauge.aligned(one) for one in forces]).T - gauge.force[:, None]  # (presses, factors)
-    groups, every = np.unique(gauge.recording), np.ones(len(off), bool)
+    groups, every = np.unique(gauge.recording), np.ones(len(changes), bool)
 
-    def best(where: Array) -> int:
-        return int(np.argmin(np.abs(off[where]).mean(axis=0)))
+    def off(colours: Array) -> Array:
+        """Errors of forces with each of the tried factors (presses, factors)."""
+        seen = np.array([_seen(change / colours) for change in changes])
+        read = [net.normals(seen / factor)[:, 0] for factor in tried]  # lights so much stronger show the same change
+        forces = [fitted.zero.value + _force(one, presses) for one in read]
+        return np.asarray(np.array([gauge.aligned(one) for one in forces]).T - gauge.force[:, None])
 
-    apart = [(gauge.recording == g, best(gauge.recording != g)) for g in groups] if len(groups) > 1 else []
-    unseen = tuple(float(np.abs(off[here, at]).mean()) for here, at in apart)
-    bias = tuple(float(off[here, at].mean()) for here, at in apart)
-    errors, k = np.abs(off).mean(axis=0), best(every)
-    return ContrastFit(float(tried[k]), float(errors[k]), float(errors[CONTRASTS // 2]), unseen, bias)
+    plain = off(np.ones(3))
+
+    def best(where: Array) -> tuple[Array, Array, int]:
+        """Factors by the colours of some presses, if they suit their forces better than none, all errors with them, and
+        the number of the factor that suits these forces."""
+        own = ratios.over(where)
+        both = (own, off(own)), (np.ones(3), plain)
+        colours, errors = min(both, key=lambda one: float(np.abs(one[1][where]).mean(axis=0).min()))
+        return colours, errors, int(np.argmin(np.abs(errors[where]).mean(axis=0)))
+
+    apart = [(gauge.recording == g, *best(gauge.recording != g)[1:]) for g in groups] if len(groups) > 1 else []
+    unseen = tuple(float(np.abs(errors[here, at]).mean()) for here, errors, at in apart)
+    bias = tuple(float(errors[here, at].mean()) for here, errors, at in apart)
+    colours, errors, k = best(every)
+    before = float(np.abs(plain[:, CONTRASTS // 2]).mean())
+    return ContrastFit(float(tried[k]), rgb(colours), float(np.abs(errors[:, k]).mean()), before, unseen, bias)
+
+
+class ContrastByColour:
+    """How colours change per slope inside of contacts, photographed over rendered, by one polynomial at one place."""
+
+    def __init__(self, sensor: LitSensor, fitted: IndentationFit, presses: GaugedPresses) -> None:
+        scan, view = fitted.scan, presses.view
+        camera, near, self._rich = Renderer(sensor, CONTRAST_SPP, 0, markers=False), scan.located[scan.below], scan.rich
+        flat, self._tables, self._made = camera.develop(camera.flat()), list[Array](), list[PressPicture]()
+        self._real = presses.pictures
+        for k, one in enumerate(presses.pictures):
+            shown = camera.develop(camera.image(fitted.face(camera.untouched, presses, k, near.blur)))
+            self._made.append(view.picture(shown, flat, one.ball, one.recording))
+            at = np.array([fitted.depth[k], *near.at[k, 1:]])
+            self._tables.append(view.columns(presses.dents[scan.below][one.ball], at, near.blur, scan.rich))
+
+    def over(self, where: Array) -> Array:
+        """Factors (3,) by the presses at which `where` (n,) is true; 1 for a colour that the lights hardly change."""
+        some = np.flatnonzero(where).tolist()
+        real, made = (
+            press_localisation.best_colours([self._tables[k] for k in some], [seen[k] for k in some], self._rich)[:2]
+            for seen in (self._real, self._made)
+        )
+        size = (made**2).sum(axis=0)
+        ratio = np.where(size > 0, (real * made).sum(axis=0) / np.maximum(size, 1e-9), 1.0)
+        return np.asarray(np.clip(ratio, LEAST_CONTRAST, LARGEST_CONTRAST))
 
 
 def _force(read: Array, presses: GaugedPresses) -> Array:
@@ -123,13 +174,13 @@ def _seen(change: Array) -> Array:
     return np.asarray(smooth[np.ix_(rows.astype(int), columns.astype(int))].ravel() / READER_UNIT_COUNTS)
 
 
-def scaled(sensor: LitSensor, factor: float) -> LitSensor:
-    """The sensor with its lights times a factor, and stray light for what the untouched picture would lose in the
-    mean, as far as there is any."""
+def scaled(sensor: LitSensor, factors: Array) -> LitSensor:
+    """The sensor with its red, green and blue light times factors (3,), and stray light for what the untouched picture
+    would lose in the mean, as far as there is any."""
     camera = Renderer(sensor, CONTRAST_SPP, 0, markers=False)
     shown, stray = camera.flat().astype(float).mean(axis=(0, 1)), np.array(sensor.camera.ambient)
-    left = np.maximum(stray + (1 - factor) * (shown - stray), 0.0)
-    leds = tuple(led.model_copy(update={"radiance": rgb(factor * np.array(led.light)), "power": 1.0})
+    left = np.maximum(stray + (1 - factors) * (shown - stray), 0.0)
+    leds = tuple(led.model_copy(update={"radiance": rgb(factors * np.array(led.light)), "power": 1.0})
                  for led in sensor.leds)  # fmt: skip
     eye = sensor.camera.model_copy(update={"ambient": rgb(left)})
     return sensor.model_copy(update={"leds": leds, "camera": eye})

@@ -19,16 +19,16 @@ Array = np.ndarray
 DRAWN, FIGURE_SPP = 6, 16  # presses in the figure; samples a pixel, of gels that scatter light
 MAX_LEAVE_ONE_OUT_PRESSES = 5  # up to so many presses each is left out once
 SCORE_SCATTER_DEG = 0.1  # scatter of the difference of two files' errors of normals, over seeds [deg]
-HOLD_OUT_INTERVAL = 3  # of more, every third is held out
+HOLD_OUT_INTERVAL = 3  # of more, every third is held out, in each of the three ways
+MIN_GAIN_SHARE = 0.1  # of the error before: smaller gains come and go with the choice of the presses
 
 
 def folds(presses: int) -> list[list[int]]:
     """Numbers, from 1, of the presses that are held out together, a list for each fit; none below two presses."""
     if presses < 2:
         return []
-    if presses <= MAX_LEAVE_ONE_OUT_PRESSES:
-        return [[k] for k in range(1, presses + 1)]
-    return [list(range(HOLD_OUT_INTERVAL, presses + 1, HOLD_OUT_INTERVAL))]
+    count = presses if presses <= MAX_LEAVE_ONE_OUT_PRESSES else HOLD_OUT_INTERVAL
+    return [list(range(first, presses + 1, count)) for first in range(1, count + 1)]
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,14 @@ class HeldOutPresses:
 
     @property
     def better(self) -> bool:
-        """Whether the fit helps: the mean gain exceeds its standard error, of normals where they are known, together
-        with what two networks differ by, else of counts, and the counts do not rise by more than theirs."""
-        gain, error = _gain(self.counts if self.degrees is None else self.degrees)
-        counts, scatter = _gain(self.counts)
+        """Whether the fit helps: the mean gain is MIN_GAIN_SHARE of the error at least and exceeds its standard error,
+        of normals where they are known, together with what two networks differ by, else of counts, and the counts do
+        not rise by more than theirs."""
+        scores = self.counts if self.degrees is None else self.degrees
+        (gain, error), (counts, scatter) = _gain(scores), _gain(self.counts)
         alone = 0.0 if self.degrees is None else SCORE_SCATTER_DEG
-        return bool(gain > np.hypot(error, alone) and counts >= -scatter)
+        enough = gain >= MIN_GAIN_SHARE * scores[0].mean()
+        return bool(enough and gain > np.hypot(error, alone) and counts >= -scatter)
 
     def __str__(self) -> str:
         parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]

@@ -104,8 +104,12 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     for unit, value, most in (("mm", asked.mm, MAX_TOLERANCE_MM), ("deg", asked.deg, MAX_TOLERANCE_DEG)):
         if not 0 <= value <= most:  # nor nan
             raise UserError(f"--tolerance-{unit}: must be from 0 to {most:g} (got {value:g})")
+    return calibrated(path, reading.read(folder, lit_sensor(path)[0].camera), asked)
+
+
+def calibrated(path: Path, photos: reading.Photos, asked: FitLimits) -> Calibrated:
+    """The fit of the LEDs of a sensor file to photographs. Raises UserError: presses that cannot be solved."""
     sensor, tree = lit_sensor(path)
-    photos = reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID_FILE_KEY): loading.solid_folder(tree)} if sensor.gel.solid else {}
     scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
     if scatters:

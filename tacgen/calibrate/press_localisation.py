@@ -194,7 +194,7 @@ def colours_vary(view: PressView, pictures: Sequence[PressPicture], dents: Mappi
         left = 0.0
         for group in np.unique(groups):
             seen, unseen = (np.flatnonzero(where).tolist() for where in (groups != group, groups == group))
-            colours = _colours([tables[k] for k in seen], [pictures[k] for k in seen], rich)
+            colours = best_colours([tables[k] for k in seen], [pictures[k] for k in seen], rich)
             left += sum(float(((tables[k] @ colours - pictures[k].change) ** 2).sum()) for k in unseen)
         off.append(left)
     return off[1] < off[0]
@@ -208,7 +208,7 @@ def located(
     at, moving = start.copy(), np.ones(len(pictures), bool)
     tables = [view.columns(dents[p.ball], a, blur, rich) for p, a in zip(pictures, at, strict=True)]
     for _ in range(rounds):
-        found = _colours(tables, pictures, rich) if colours is None else colours
+        found = best_colours(tables, pictures, rich) if colours is None else colours
         largest = 0.0
         for k in np.flatnonzero(moving).tolist():
             dent = dents[pictures[k].ball]
@@ -219,13 +219,13 @@ def located(
             largest = max(largest, abs(step[0]))
         if largest < SETTLED_DEPTH_MM:
             break
-    found = _colours(tables, pictures, rich) if colours is None else colours
+    found = best_colours(tables, pictures, rich) if colours is None else colours
     left = [((table @ found - one.change) ** 2).sum(axis=1) for table, one in zip(tables, pictures, strict=True)]
     misfit = [np.bincount(view.sector(a), one, MISFIT_SECTORS) for a, one in zip(at, left, strict=True)]
     return LocatedPresses(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
 
 
-def _colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich: bool) -> Array:
+def best_colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich: bool) -> Array:
     """The best colours (columns, 3) by least squares over all pictures."""
     normal = sum(t.T @ t for t in tables)
     right = sum(t.T @ p.change for t, p in zip(tables, pictures, strict=True))

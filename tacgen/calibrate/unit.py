@@ -213,7 +213,8 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     except ValueError as error:
         raise UserError(f"{table}: {error}") from None
     drift = press_localisation.drift(presses.pictures, presses.gauge.recording, presses.gauge.time)
-    if wrong := [*_too_deep(raw, photos, presses), *_undetermined(raw, table)]:
+    wrong = [*_too_deep(raw, photos, presses), *_without_rim(raw, photos, presses), *_undetermined(raw, table)]
+    if wrong:
         no_dents = sensor_fit.no_dents(raw.scan.explained, drift)
         raise UserError(f"{table}: {no_dents}" if no_dents else wrong)
     made = Unit(path, sensor, {}, photos, presses.gauge, drift, asked, raw, (), None, None, presses.error)
@@ -268,12 +269,22 @@ def _too_deep(found: IndentationFit, photos: GaugedPhotos, presses: GaugedPresse
                    f" gel of {found.thickness.value:.3g} mm is solved for: leave it out")  # fmt: skip
 
 
+def _without_rim(found: IndentationFit, photos: GaugedPhotos, presses: GaugedPresses) -> Iterator[str]:
+    """A line on each press whose contact is as wide as the picture: slopes inside are the ball's at any depth."""
+    for press, depth, at in zip(photos.presses, found.depth, found.scan.located[found.scan.below].at, strict=True):
+        contact = presses.dents[found.scan.below][press.ball].contact_at(float(depth))
+        if contact > np.hypot(*(presses.view.level - at[1:]).T).max():
+            yield (f"{photos.folder / press.name}: its contact, {contact:.3g} mm in radius, covers the picture, and its"
+                   " depth shows at the rim alone: leave it out")  # fmt: skip
+
+
 def _held_out(photos: GaugedPhotos, presses: GaugedPresses) -> tuple[HeldOutForces, ...]:
     """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
     names = photos.recordings
     group = presses.gauge.recording if len(names) > 1 else np.arange(len(presses.pictures))
     out = []
-    for held in cross_validation.folds(int(group.max()) + 1):
+    groups = cross_validation.folds(int(group.max()) + 1)
+    for held in groups if max(map(len, groups)) == 1 else groups[-1:]:  # each takes a scan of all thicknesses
         where = np.isin(group + 1, held)
         name = names[held[0] - 1] if len(held) == 1 and len(names) > 1 else f"{where.sum()} held out"
         with suppress(ValueError):  # the others are too few
@@ -310,7 +321,7 @@ def _contrasted(made: Unit, now: LitSensor, lights: Fitted, presses: GaugedPress
         return {}
     changes = [press.picture.astype(float) - press.untouched for press in made.photos.presses]
     found = contrast_fit.fit(photometric_fit.at_scale(now, lights.sensor), made.fitted, presses, changes)
-    return {"lights": replace(lights, sensor=contrast_fit.scaled(lights.sensor, found.factor)), "contrast": found}
+    return {"lights": replace(lights, sensor=contrast_fit.scaled(lights.sensor, found.factors)), "contrast": found}
 
 
 def _undetermined(fitted: IndentationFit, table: Path) -> Iterator[str]:

@@ -30,18 +30,21 @@ def radiances(folder: Path, unit: Any, *options: object) -> Any:
     return calibrate("optics", "--sensor", path, "--images", images, "--tolerance-mm", 0, *options)
 
 
-def test_each_of_few_presses_is_left_out_once_and_a_third_of_more() -> None:
+def test_each_of_few_presses_is_left_out_once_and_a_third_of_more_in_turn() -> None:
     assert cross_validation.folds(0) == cross_validation.folds(1) == []
     assert cross_validation.folds(5) == [[1], [2], [3], [4], [5]]
-    assert cross_validation.folds(7) == [[3, 6]]
+    assert cross_validation.folds(7) == [[1, 4, 7], [2, 5], [3, 6]]
 
 
 @pytest.mark.parametrize(
     ("before", "after", "better"),
     [([5, 5, 5], [4, 4, 4.5], True), ([5, 5, 5], [6, 6, 6], False), ([5, 5, 5], [5, 5, 5], False),
-     ([5, 5, 5], [1, 6, 7.5], False)],  # the mean gain lies within its standard error
+     ([5, 5, 5], [1, 6, 7.5], False),  # the mean gain lies within its standard error
+     ([5, 5, 5], [4.6, 4.6, 4.7], False)],  # sure, and too small for a file that is replaced
 )  # fmt: skip
-def test_a_gain_counts_beyond_its_standard_error(before: list[float], after: list[float], better: bool) -> None:
+def test_a_gain_counts_beyond_its_standard_error_and_a_tenth_of_the_error(
+    before: list[float], after: list[float], better: bool
+) -> None:
     assert cross_validation.HeldOutPresses((), (), (), np.array([before, after]), None).better == better
 
 

@@ -74,6 +74,19 @@ def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path,
     assert made.leds[0].center_mm == tuple(PLAIN["leds"][0]["center_mm"])
 
 
+@pytest.mark.usefixtures("no_normals")
+def test_powers_are_found_by_contacts_that_cover_the_picture(nominal: Path, tmp_path: Path) -> None:
+    """Balls three times as wide as the picture: no rim shows."""
+    true = (1.4, 0.8, 1.2)
+    leds = [{**led, "power": power} for led, power in zip(PLAIN["leds"], true, strict=True)]
+    wide = ((12.0, (40, 32), 60.0), (12.0, (25, 40), 60.0), (15.0, (52, 20), 65.0), (15.0, (40, 50), 65.0))
+    folder = photographed(sensor(leds=leds, camera=FINE, markers=None), tmp_path / "unit", wide)
+    found = optics.optics(str(nominal), folder, FitLimits(0, 0))
+    powers = [sum(a.light) / sum(b.light) for a, b in zip(found.fitted.sensor.leds, found.sensor.leds, strict=True)]
+    assert powers == pytest.approx(true, rel=0.03)
+    assert found.fitted.unseen.counts[1].mean() < 0.3 * found.fitted.unseen.counts[0].mean()
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_normals")
 def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_path: Path) -> None:

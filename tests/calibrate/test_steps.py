@@ -87,7 +87,7 @@ def test_presses_between_solved_thicknesses_are_interpolated_and_their_error_is_
 
 def test_more_contrast_leaves_the_untouched_picture_as_bright() -> None:
     unit = cast(LitSensor, sensor(camera={**FINE, "noise": None, "ambient": [0.2, 0.2, 0.2]}, markers=None))
-    made = contrast_fit.scaled(unit, 1.2)
+    made = contrast_fit.scaled(unit, np.full(3, 1.2))
     before, after = (Renderer(one, 1, 0, markers=False).flat() for one in (unit, made))
     assert after.mean(axis=(0, 1)) == pytest.approx(before.mean(axis=(0, 1)), rel=1e-3)
     assert (after - made.camera.ambient).std() == pytest.approx(1.2 * (before - unit.camera.ambient).std(), rel=1e-3)

@@ -1,5 +1,6 @@
 """Thickness, modulus, zero and lag from presses with forces: found where they are known, or said to be open."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -8,16 +9,19 @@ import pytest
 from helpers.photographed import calibrate, refused, save, table, written
 from helpers.tiny import sensor
 
-from tacgen.calibrate import dent_tables, indentation_fit, press_localisation
+from tacgen.calibrate import contrast_fit, dent_tables, indentation_fit, press_localisation
 from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.dent_tables import DENT_RADII, Dents, with_thickness
 from tacgen.calibrate.indentation_fit import Gauge, GaugedPresses
+from tacgen.calibrate.material_fit import Estimate
 from tacgen.calibrate.photometric_model import FitLimits
-from tacgen.calibrate.press_localisation import PressView
+from tacgen.calibrate.press_localisation import LocatedPresses, PressPicture, PressView
 from tacgen.recipe import loading
+from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
 BALL, MODULUS, ZERO = 4.0, 1.4, 0.3  # [mm], times the file's, [N]
+WIDE, WIDEST = 12.0, 60.0  # balls wider than the picture, and with contacts that cover it [mm]
 FINE = {"mm_per_px": 0.1, "width_px": 96, "height_px": 80, "noise": None}
 DEPTHS = np.array([0.15, 0.3, 0.45, 0.6, 0.75, 0.9])
 PLACES = ((0.0, 0.0), (0.8, -0.5), (-0.7, 0.6), (0.4, 0.5), (-0.5, -0.4), (0.2, 0.0))
@@ -85,8 +89,11 @@ def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.
     return indentation_fit.fit(indentation_fit.thickness_scan(seen, rich=False), seen)
 
 
-@pytest.mark.parametrize("thick", [2.4, pytest.param(3.7, marks=pytest.mark.slow)])
-def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(unit: LitSensor, thick: float) -> None:
+@pytest.mark.parametrize(("thick", "ball"), [(2.4, BALL), pytest.param(3.7, BALL, marks=pytest.mark.slow), (2.4, WIDE)])
+def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(
+    unit: LitSensor, thick: float, ball: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"{__name__}.BALL", ball)
     found = fitted(unit, thick)
     assert found.thickness.value == pytest.approx(thick, rel=0.08)
     assert found.modulus.value == pytest.approx(MODULUS, rel=0.12)
@@ -174,6 +181,35 @@ def test_the_command_writes_a_sensor_file_with_what_was_found_and_unseen_forces(
     assert made.gel.layers[0].model_dump()["youngs_modulus_mpa"] == pytest.approx(0.3 * MODULUS, rel=0.3)
     assert "with 95 %), fitted to 6 presses" in made.gel.layers[0].source
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_contacts_that_cover_the_picture_are_refused(
+    unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The slopes inside are the ball's at any depth."""
+    monkeypatch.setattr(dent_tables, "solved", formula)
+    monkeypatch.setattr(f"{__name__}.BALL", WIDEST)
+    done = called(*photographed(unit, tmp_path / "images"), "--keep-thickness")
+    assert done.exit_code == 2
+    assert "5.png: its contact, " in done.stderr
+    assert "0.png: its contact" not in done.stderr
+
+
+def test_the_colours_of_a_unit_are_found_without_forces() -> None:
+    unit = cast(LitSensor, sensor(camera={**FINE, "response": "linear", "ambient": [0.2, 0.2, 0.2]}, markers=None))
+    at, true = np.array(presses()), np.array([1.2, 1.0, 0.7])
+    seen = LocatedPresses(at, np.zeros(0), 0.1, np.ones((len(at), 1)), 1.0)
+    scan = indentation_fit.ThicknessScan(np.array([3.0]), (seen,), False, float(np.log(3.0)), 0.0, 1)
+    none = Estimate("none", 1.0, 1.0, 1.0)
+    found = indentation_fit.IndentationFit(scan, none, none, none, {}, np.ones(len(at)), at[:, 0])
+    gauge = Gauge(np.ones(len(at)), np.zeros(len(at), int), np.full(len(at), np.nan))
+    blank = PressPicture(np.zeros((1, 3)), BALL, 0, 0.0)
+    known = GaugedPresses(PressView(unit), [blank] * len(at), gauge, [{BALL: formula(unit, BALL)}])
+    camera = Renderer(contrast_fit.scaled(unit, true), 1, 0, markers=False)
+    shown = [camera.develop(camera.image(found.face(camera.untouched, known, k))) for k in range(len(at))]
+    flat = camera.develop(camera.flat())
+    real = replace(known, pictures=[known.view.picture(one, flat, BALL, 0) for one in shown])
+    assert contrast_fit.ContrastByColour(unit, found, real).over(np.ones(len(at), bool)) == pytest.approx(true, rel=0.1)
 
 
 @pytest.mark.parametrize(

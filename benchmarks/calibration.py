@@ -1,0 +1,74 @@
+"""Five photographs of presses, drawn at random, given to `calibrate optics`: is what it writes worse on the others?
+
+    python -m benchmarks.calibration [UNIT ...] [--draws 20]
+
+A line each draw, on all cores: mean error of normals on the presses not given, by the shipped file and by the fit.
+"""
+
+import argparse
+import math
+import time
+
+import numpy as np
+
+from benchmarks import photographs
+from benchmarks.real import sensor_of
+from benchmarks.results_page import in_own_processes
+from tacgen.base.terminal import say
+from tacgen.calibrate import optics, photometric_fit, solved_presses, steps
+from tacgen.calibrate.photometric_model import FitLimits
+from tacgen.calibrate.photos import Photos
+from tacgen.calibrate.render_comparison import Comparison
+from tacgen.recipe import assets
+
+FILES = {"gelsight_mini_unit2": "gelsight_mini", "gelsight_mini": "gelsight_mini", "digit": "digit"}
+GIVEN = 5  # presses of a draw
+
+
+def draws(presses: int, count: int) -> list[list[int]]:
+    """Numbers of the presses that each draw gives, no choice twice."""
+    found, seed = list[list[int]](), 0
+    while len(found) < min(count, math.comb(presses, GIVEN)):
+        some = sorted(np.random.default_rng(seed).permutation(presses)[:GIVEN].tolist())
+        found += [some] if some not in found else []
+        seed += 1
+    return found
+
+
+def judged(name: str, given: list[int]) -> tuple[list[float], bool, str]:
+    """Errors of normals [deg] in all presses of a unit, by the shipped file or by the fit to some of them; whether that
+    would be written, and what it says of itself."""
+    unit, written, told = photographs.unit(name), True, ""
+    assert unit is not None
+    steps.MAX_WORKERS = 1  # the other cores have draws of their own
+    sensor = sensor_of(FILES[name])
+    presses, faces = solved_presses.faced(sensor, unit.presses, {})
+    if given:
+        drawn, begun = photographs.as_drawn(name, unit.folder), time.process_time()
+        photos = Photos(unit.folder, unit.untouched, tuple(drawn[k] for k in given))
+        fit = optics.calibrated(assets.sensor_path(FILES[name]), photos, FitLimits(bare=True))
+        written, told = not fit.problem(), f"{time.process_time() - begun:.0f} s, by itself {fit.fitted.unseen}"
+        sensor = photometric_fit.at_scale(sensor, fit.fitted.sensor)
+    return Comparison(sensor).likeness(presses, faces, unit.untouched).each.tolist(), written, told
+
+
+def main() -> None:
+    """Draw, fit, judge and sum up."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("units", nargs="*", metavar="UNIT", default=list(FILES), help=", ".join(FILES))
+    parser.add_argument("--draws", type=int, default=20, help="of each unit, if there are as many choices")
+    asked = parser.parse_args()
+    for name in asked.units:
+        if (unit := photographs.unit(name)) is None:
+            parser.error(f"no photographs of {name} in {photographs.reference()}")
+        chosen, gains = draws(len(unit.presses), asked.draws), list[float]()
+        shipped, *found = in_own_processes("benchmarks.calibration:judged", [(name, given) for given in [[], *chosen]])
+        for given, (each, written, told) in zip(chosen, found, strict=True):
+            before, after = (np.delete(one, given).mean() for one in (shipped[0], each))
+            gains += [before - after] if written else []
+            say(f"{name} {given}: {'written' if written else 'refused'}, {before:.2f} deg, fit {after:.2f}; {told}")
+        say(f"{name}: {len(gains)} of {len(chosen)} written, {sum(gain < 0 for gain in gains)} of them worse")
+
+
+if __name__ == "__main__":
+    main()
