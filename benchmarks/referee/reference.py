@@ -1,9 +1,10 @@
-"""The answers that players are judged by: CalculiX or, with friction, tacgen, on two meshes each; and closed forms."""
+"""The answers that players are judged by: CalculiX or, with friction, FElupe, on two meshes each; and closed forms."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,22 +13,20 @@ from scipy.interpolate import LinearNDInterpolator
 from benchmarks import calculix
 from benchmarks.referee.case import CASES, PAD_MM, Array, Case, Shape, dots, spread
 from benchmarks.referee.player import Answer
-from benchmarks.referee.players.tacgen_player import Tacgen
+from benchmarks.referee.players import felupe_player
 from benchmarks.reference_runs import row_of
 from benchmarks.results_page import ROOT, Say
 from tacgen.base.errors import UserError
-from tacgen.base.version import __version__
 from tacgen.geometry import surface_nets
 from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh
 from tacgen.recipe import scene_of_row
 
 FORCES, MAPS = ROOT / "docs/results/referee_reference.json", ROOT / "docs/results/referee_reference.npz"
-SCALES = (1.4, 1.0)  # of the steps of CalculiX's two meshes
-EDGES = ("{edge_mm: 0.28, dhat_mm: 0.01}", "reference")  # tacgen's two meshes
+SCALES = (1.0, 1.4)  # of the steps of CalculiX's two meshes
+FRICTION = ({"edge_mm": 0.9, "steps": 8}, {"edge_mm": 0.9, "steps": 4}, {"edge_mm": 1.25, "steps": 4})  # of FElupe
 SAG_MM, FACET_MM = 0.003, 0.4  # of the body: distance of its facets from the shape, and their longest edge
 MAX_HEIGHT_MM = 0.3  # parts of the body that stay higher above the untouched face never touch it
-ITSELF = f"tacgen {__version__} itself"
 CLOSED = "closed form"
 PARTS = ("pressure", "traction", "markers")
 
@@ -35,7 +34,7 @@ PARTS = ("pressure", "traction", "markers")
 @dataclass(frozen=True)
 class Judged:
     """The answer of a reference, named in `judge`, and its own error in each frame: of the force (n,) [N] and of the
-    torque (n,) [N mm], the difference of two meshes; 0 of a closed form."""
+    torque (n,) [N mm], the difference of two meshes and, of FElupe, of two steps; 0 of a closed form."""
 
     judge: str
     answer: Answer
@@ -136,21 +135,21 @@ def judged(case: Case) -> Judged:
     """The reference of a case, solved now.
 
     Raises:
-        UserError: CalculiX is not installed, or has not finished.
+        UserError: CalculiX or FElupe is not installed, or has not finished.
     """
     if case.mass_kg:  # at rest both gels together bear the weight, which is along y
         held = np.tile([0.0, case.weight, 0.0], (len(case.judged), 1))
         nothing = np.zeros(len(held))
         return Judged(CLOSED, Answer(held, np.zeros_like(held), 0.0), nothing, nothing)
-    if case.friction:
-        ours = Tacgen("tacgen", {edge: edge for edge in EDGES})
-        coarse, fine = (ours.play(case, edge) for edge in EDGES)
-    elif not calculix.installed():
+    ours = felupe_player.PLAYERS[0]
+    if case.friction and ours.available():
+        raise UserError("the reference needs FElupe: pip install felupe pypardiso")
+    if not case.friction and not calculix.installed():
         raise UserError("the reference needs CalculiX: apt install calculix-ccx")
-    else:
-        coarse, fine = (_solved(case, scale) for scale in SCALES)
-    apart = (np.linalg.norm(a - b, axis=1) for a, b in ((coarse.force, fine.force), (coarse.torque, fine.torque)))
-    return Judged(ITSELF if case.friction else calculix.version(), fine, *apart)
+    judge = f"{ours.name} ({ours.version()})" if case.friction else calculix.version()
+    played = [ours.run(case, how) for how in FRICTION] if case.friction else [_solved(case, scale) for scale in SCALES]
+    apart = ([getattr(a, part) - getattr(b, part) for a, b in pairwise(played)] for part in ("force", "torque"))
+    return Judged(judge, played[0], *(np.linalg.norm(each, axis=-1).sum(0) for each in apart))
 
 
 def write(cases: Sequence[Case], say: Say) -> None:

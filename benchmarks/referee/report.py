@@ -68,7 +68,7 @@ def scores(entry: Entry) -> dict[str, Entry]:
     return {
         name: one
         for name, one in entry["cases"].items()
-        if "not_played" not in one and (entry["player"] != OURS or one["judge"] != reference.ITSELF)
+        if "not_played" not in one and not one["judge"].startswith(entry["player"])
     }
 
 
@@ -100,7 +100,7 @@ def tables(entries: Sequence[Entry]) -> list[Table]:
         numbers: list[Cell] = [float(how(v)) if (v := values(one, part)) else None for _, part, how in MEANS]
         rows.append([one["player"], one["setting"], len(scores(one)), *numbers, seconds(one) if scores(one) else None])
     heads = columns("player", "setting", "cases: d", *(head for head, *_ in MEANS), "s a frame: .3g")
-    note = f"{OURS} has no score in the cases that it judges itself."
+    note = "A player has no score in the cases that it judges itself."
     by_case: list[list[Cell]] = [
         [label(one), *(float(np.mean(one["cases"][c.name]["force"])) if c.name in scores(one) else None for c in CASES)]
         for one in ran

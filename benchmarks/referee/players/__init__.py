@@ -12,6 +12,7 @@ MODULES = {
     "newton_soft": "newton_soft",
     "genesis_rigid": "genesis_rigid",
     "genesis_fem": "genesis_fem",
+    "felupe": "felupe_player",
     "not_run": "not_run",
 }
 
