@@ -146,9 +146,7 @@ def mix(camera: "Camera", gain: "Floats | None" = None) -> "Floats":
     return colours(camera) if gain is None else colours(camera) * gain[:, None]
 
 
-def drawn(
-    random: np.random.Generator, height: int, width: int, noise: "Noise | None" = None
-) -> "NDArray[np.uint16]":
+def drawn(random: np.random.Generator, height: int, width: int, noise: "Noise | None" = None) -> "NDArray[np.uint16]":
     """Numbers of the quantiles (height, 3 width) that are a picture's noise, white or as `noise` has it."""
     if noise is None or noise.white:
         return random.integers(0, NOISE_QUANTILES, (height, 3 * width), np.uint16)
@@ -160,18 +158,18 @@ def _patched(random: np.random.Generator, height: int, width: int, noise: "Noise
     normal numbers whose colours are mixed by the root of their correlation."""
     side = (noise.patch_px + 1) // 2
     rows, columns = -(-height // side), -(-width // side)
-    if noise.patch_px == 1:
-        even = quantiles()[random.integers(0, NOISE_QUANTILES, (rows, columns, 3), np.uint16)]
-    else:
-        made = quantiles()[random.integers(0, NOISE_QUANTILES, (rows + 1, columns + 1, 3), np.uint16)]
-        down = made[1:] + made[:-1]
-        even = (down[:, 1:] + down[:, :-1]) / 2  # the variance is still 1
-    at = even.reshape(-1, 3) @ (_root(noise.correlation) * (NUMBER_CELLS / (2 * MOST_DEVIATIONS)))
-    at += NUMBER_CELLS / 2
-    np.clip(at, 0, NUMBER_CELLS - 1, out=at)
-    numbers = _numbers()[at.astype(np.int32)].reshape(rows, columns, 3)
-    spread = numbers.repeat(side, axis=1)[:, :width].reshape(rows, 3 * width)
-    return spread.repeat(side, axis=0)[:height]
+    more = int(noise.patch_px > 1)
+    made = quantiles()[random.integers(0, NOISE_QUANTILES, (3, rows + more, columns + more), np.uint16)]
+    if more:
+        down = made[:, 1:] + made[:, :-1]
+        made = (down[..., 1:] + down[..., :-1]) / 2  # the variance is still 1
+    out = np.empty((rows, side * columns, 3), np.uint16)
+    for c, row in enumerate(_root(noise.correlation) * np.float32(NUMBER_CELLS / (2 * MOST_DEVIATIONS))):
+        # not by BLAS, whose sums differ from processor to processor
+        at = row[0] * made[0] + row[1] * made[1] + row[2] * made[2] + np.float32(NUMBER_CELLS / 2)
+        cells = np.clip(at, 0, NUMBER_CELLS - 1, out=at).astype(np.int32)
+        out[..., c] = _numbers()[cells].repeat(side, axis=1)
+    return np.asarray(out[:, :width].reshape(rows, 3 * width).repeat(side, axis=0)[:height], np.uint16)
 
 
 def _root(correlation: tuple[float, float, float]) -> "NDArray[np.float32]":
@@ -187,7 +185,7 @@ def _numbers() -> "NDArray[np.uint16]":
     from scipy.special import ndtr
 
     middle = (np.arange(NUMBER_CELLS) + 0.5) / NUMBER_CELLS * 2 * MOST_DEVIATIONS - MOST_DEVIATIONS
-    return np.minimum(ndtr(middle) * NOISE_QUANTILES, NOISE_QUANTILES - 1).astype(np.uint16)
+    return np.asarray(np.minimum(ndtr(middle) * NOISE_QUANTILES, NOISE_QUANTILES - 1), np.uint16)
 
 
 @lru_cache(maxsize=1)

@@ -129,7 +129,6 @@ class Drawing:
         )  # fmt: skip
         return np.asarray(out.cpu())
 
-
     def _numbers(self, random: Sequence[np.random.Generator | None]) -> Tensor:
         """Numbers of the quantiles (F, n) that are the pictures' noise; those of correlated noise the CPU draws."""
         states, eye = noise.states(random), self._sensor.camera

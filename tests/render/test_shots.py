@@ -22,7 +22,7 @@ from tacgen.batch.recorder import SceneWork
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.mechanics import mesh
 from tacgen.mechanics.solved_scene import SolvedScene
-from tacgen.optics import camera_response
+from tacgen.optics import camera_response, coat_texture
 from tacgen.outputs.scene_data import SceneData
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.row import Row
@@ -59,9 +59,7 @@ def log(monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
         """The CPU's light for the nodes of faces."""
 
         def __init__(self, direct: Any, glow: Any, stray: Any, texture: Any, device: str, glare: Any) -> None:
-            assert texture is None
-            assert glare is None
-            self.direct, self.glow, self.stray = direct, glow, stray
+            self.direct, self.glow, self.stray, self.texture, self.glare = direct, glow, stray, texture, glare
             log.append(f"drawing at {device}")
 
         def radiance(self, nodes: np.ndarray) -> Light:
@@ -75,7 +73,11 @@ def log(monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
                 at.nodes = each
                 seen = np.asarray(self.direct.seen(at, self.glow), np.float64)
                 self.direct.view.add_even(seen, at, self.stray)
-                made.append(camera_response.blurred(seen, self.direct.sensor.camera).astype(np.float32))
+                if self.texture is not None:
+                    factor = coat_texture.sampled(self.texture, self.direct.sheet.size, at.rest)
+                    seen = seen * self.direct.view.picture(factor[:, None])
+                seen = camera_response.blurred(seen, self.direct.sensor.camera).astype(np.float32)
+                made.append(np.asarray(np.maximum(seen + self.glare, 0), np.float32))
             return Light(np.array(made), log)
 
         def developed(self, radiance: Light, random: Sequence[Any], gains: Sequence[Any]) -> np.ndarray:
