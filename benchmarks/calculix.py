@@ -95,11 +95,7 @@ def press(gel: GelBody, radius: float, depth: float, edge: float, *, quarter: bo
 
 
 def follow(
-    gel: GelBody,
-    axes: tuple[Array, Array, Array],
-    body: Body,
-    poses: Sequence[Array],
-    symmetry: Symmetry = "",
+    gel: GelBody, axes: tuple[Array, Array, Array], body: Body, poses: Sequence[Array], symmetry: Symmetry = ""
 ) -> Followed:
     """A body that follows `poses` (4, 4), a frame each, from its own frame, on a flat pad of one neo-Hookean layer
     without friction; the pad's mesh has the coordinates `axes` along x, y and z [mm]. With a symmetry these are of the
@@ -149,12 +145,7 @@ def _printed(said: str, name: str, frames: int) -> Array:
 def _whole(points: Array, vectors: Array, symmetry: Symmetry) -> tuple[Array, Array]:
     """Points and vectors (n, p, 3) of the whole pad from those of its part."""
     eye, flip_x, flip_y = np.eye(3), np.diag([-1.0, 1, 1]), np.diag([1.0, -1, 1])
-    copies = {
-        "": [eye],
-        "x": [eye, flip_x],
-        "y": [eye, flip_y],
-        "xy": [eye, flip_x, flip_y, flip_x @ flip_y],
-    }[symmetry]
+    copies = {"": [eye], "x": [eye, flip_x], "y": [eye, flip_y], "xy": [eye, flip_x, flip_y, flip_x @ flip_y]}[symmetry]
     return np.concatenate([points @ c.T for c in copies], 1), np.concatenate([vectors @ c.T for c in copies], 1)
 
 

@@ -1,12 +1,9 @@
 """Five photographs of presses, drawn at random, given to `calibrate optics`: is what it writes worse on the others?
 
-    python -m benchmarks.calibration [UNIT ...] [--draws 20]
-
-A line each draw, on all cores: mean error of normals on the presses not given, by the shipped file and by the fit.
+python -m benchmarks.calibration [20 [UNIT ...]], a line each draw: errors on these by file and fit
 """
 
-import argparse
-import math
+import sys
 import time
 
 import numpy as np
@@ -27,41 +24,34 @@ GIVEN = 5  # presses of a draw
 
 def draws(presses: int, count: int) -> list[list[int]]:
     """Numbers of the presses that each draw gives, no choice twice."""
-    found, seed = list[list[int]](), 0
-    while len(found) < min(count, math.comb(presses, GIVEN)):
-        some = sorted(np.random.default_rng(seed).permutation(presses)[:GIVEN].tolist())
-        found += [some] if some not in found else []
-        seed += 1
-    return found
+    tried = (np.random.default_rng(seed).permutation(presses)[:GIVEN].tolist() for seed in range(9 * count))
+    return [list(some) for some in dict.fromkeys(tuple(sorted(one)) for one in tried)][:count]
 
 
 def judged(name: str, given: list[int]) -> tuple[list[float], bool, str]:
     """Errors of normals [deg] in all presses of a unit, by the shipped file or by the fit to some of them; whether that
     would be written, and what it says of itself."""
-    unit, written, told = photographs.unit(name), True, ""
+    unit, sensor, written, told = photographs.unit(name), sensor_of(FILES[name]), True, ""
     assert unit is not None
     steps.MAX_WORKERS = 1  # the other cores have draws of their own
-    sensor = sensor_of(FILES[name])
     presses, faces = solved_presses.faced(sensor, unit.presses, {})
     if given:
         drawn, begun = photographs.as_drawn(name, unit.folder), time.process_time()
         photos = Photos(unit.folder, unit.untouched, tuple(drawn[k] for k in given))
         fit = optics.calibrated(assets.sensor_path(FILES[name]), photos, FitLimits(bare=True))
-        written, told = not fit.problem(), f"{time.process_time() - begun:.0f} s, by itself {fit.fitted.unseen}"
+        written, told = not fit.problem(), f"{time.process_time() - begun:.0f} s; by itself {fit.fitted.unseen}"
         sensor = photometric_fit.at_scale(sensor, fit.fitted.sensor)
     return Comparison(sensor).likeness(presses, faces, unit.untouched).each.tolist(), written, told
 
 
 def main() -> None:
     """Draw, fit, judge and sum up."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("units", nargs="*", metavar="UNIT", default=list(FILES), help=", ".join(FILES))
-    parser.add_argument("--draws", type=int, default=20, help="of each unit, if there are as many choices")
-    asked = parser.parse_args()
-    for name in asked.units:
-        if (unit := photographs.unit(name)) is None:
-            parser.error(f"no photographs of {name} in {photographs.reference()}")
-        chosen, gains = draws(len(unit.presses), asked.draws), list[float]()
+    count, *names = sys.argv[1:] or ["20"]
+    for name in names or FILES:
+        chosen, gains = (
+            draws(len(photographs.as_drawn(name, photographs.reference() / name)), int(count)),
+            list[float](),
+        )
         shipped, *found = in_own_processes("benchmarks.calibration:judged", [(name, given) for given in [[], *chosen]])
         for given, (each, written, told) in zip(chosen, found, strict=True):
             before, after = (np.delete(one, given).mean() for one in (shipped[0], each))

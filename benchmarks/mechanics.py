@@ -16,11 +16,7 @@ ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
 AT_DRAFT = ("quality=draft",)
 PRESETS = ("draft", "default")
-HEXES = {
-    "smoke": (1.2,),
-    "normal": (0.8, 0.6, 0.5, 0.4, 0.3),
-    "full": (0.8, 0.7, 0.6, 0.5, 0.45, 0.4, 0.35, 0.3, 0.25),
-}
+HEXES = {"smoke": (1.2,), "normal": (0.8, 0.6, 0.5, 0.4, 0.3), "full": (0.8, 0.7, 0.6, 0.5, 0.45, 0.4, 0.35, 0.3, 0.25)}
 
 
 SOLVERS = {  # name: options of the solver

@@ -19,12 +19,10 @@ SENSORS = ("gelsight_mini", "digit", "ninedtact")  # whose shipped files are com
 DOTTED = "gelsight_mini_dotted"
 MINIS = ("gelsight_mini", "gelsight_mini_unit2", DOTTED)
 UNTOUCHED = {"ninedtact": "reference_rectified.png"} | dict.fromkeys((*MINIS, "digit"), "background.png")
-# Centre and radius of the contact [px], start values of the refinement. In circles.csv this circle is only around the
-# bright part of the dent; the rim, where the colours turn, is as large as for the same ball elsewhere.
+# centre and radius of the contact [px], start values of the refinement: circles.csv has that of the bright part alone
 MINI = {"ball_6.310mm_5.png": (279.5, 30.0, 34.0)}
-# The ball is 4.7 mm across at 19.58 px/mm (Rancho-zhao/FOTS, mlp_calib/scripts/create_image_dataset.py and
-# config/normal_to_rgb.yaml). Contact circles of these pictures were not recorded; those of the same unit's other
-# presses are 36 to 46 px in radius there.
+# 4.7 mm across at 19.58 px/mm (Rancho-zhao/FOTS, mlp_calib/scripts/create_image_dataset.py, config/normal_to_rgb.yaml).
+# Contact circles were not recorded; those of the same unit's other presses are 36 to 46 px in radius there.
 DIGIT_BALL = 2.35  # [mm]
 DIGIT = {  # centre and radius of the contact [px], and depth [mm]: solved faces that suit the unit's LEDs best
     "sphere_0001.png": (143.8, 147.1, 38.7, 1.35),
@@ -77,10 +75,7 @@ def as_drawn(name: str, folder: Path) -> list[PhotographedPress]:
         file, ball, center, depth = NINE
         return [PhotographedPress(file, read(folder / file), ball, center, None, depth)]
     if name == "digit":
-        return [
-            PhotographedPress(file, read(folder / file), DIGIT_BALL, (x, y), r, d)
-            for file, (x, y, r, d) in DIGIT.items()
-        ]
+        return [PhotographedPress(k, read(folder / k), DIGIT_BALL, (x, y), r, d) for k, (x, y, r, d) in DIGIT.items()]
     first = name == "gelsight_mini"
     keys = ("cx_px", "cy_px", "contact_radius_px") if first else ("centre_x_px", "centre_y_px", "contact_radius_px")
     presses = []

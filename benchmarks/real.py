@@ -1,12 +1,11 @@
 """Comparison of rendered pictures with photographs of real units.
 
-Beside normals, colours and 9DTact's depth: networks for normals that are trained on a population of units and have not
-seen the unit that they are scored on, and forces from pictures of a GelSight Wedge, by
-`tacgen calibrate unit` on one grip of a ball, judged on the other.
+Beside normals, colours and 9DTact's depth: normals by a population without the unit that is judged, and forces from
+pictures of a GelSight Wedge, by `tacgen calibrate unit` on one grip of a ball, judged on the other.
 """
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +19,7 @@ from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Tabl
 from tacgen.calibrate import normal_net, render_comparison, solved_presses
 from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.normal_net import NormalNet
-from tacgen.calibrate.render_comparison import Comparison, PictureOfPress
+from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, learned
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import assets, loading, plan
@@ -29,19 +28,19 @@ from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 ABOUT = (
-    "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean"
-    " angle between the ball's normals and those of a network trained on rendered dents; beside it, on the"
-    " same presses rendered with noise (what a perfect sensor file would reach), of networks trained on the"
-    " unit's other presses, real and rendered, and of the flat face. Contrast: change of colour per slope of"
-    " the ball, rendered over real. The shipped files' LEDs were fitted to some of these presses."
+    "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
+    " between the ball's normals and those of a network trained on rendered dents; beside it, on the same presses"
+    " rendered with noise (what a perfect sensor file would reach), of networks trained on the unit's other presses,"
+    " real and rendered, and of the flat face. Contrast: change of colour per slope of the ball, rendered over real."
+    " The shipped files' LEDs were fitted to some of these presses."
 )
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
          "correlation red: .2f", "of green: .2f", "of blue: .2f")  # fmt: skip
+PAIRS = ("rendered to real", "rendered to rendered", "real to real, left out", "rendered to rendered, left out")
 SPP = 64
 OTHERS = (3.0, 5.0)  # radii [mm] of the balls from which the table of grey to depth for 9DTact is made
 CONTACT = 2.4  # radius [mm] around the centre within which the ball is certainly in contact
 RECIPE = "many_units"
-# names of the sensor files that were fitted to the Minis' photographs
 FILES = dict(zip(MINIS, ("gelsight_mini", "gelsight_mini_second", "gelsight_mini_third"), strict=True))
 DENTS = 4  # of each drawn unit
 PARTS = 3  # into which a unit's presses are divided, to train on the others
@@ -79,8 +78,7 @@ def bench(level: Level, say: Say) -> Result:
 
 def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
     """Errors of normals, and changes of colour, of sensors with clear gels."""
-    normals: list[list[Cell]] = []
-    colours: list[list[Cell]] = []
+    normals, colours = list[list[Cell]](), list[list[Cell]]()
     for name, one in units.items():
         sensor = sensor_of(name)
         compared, random = Comparison(sensor), np.random.default_rng(0)
@@ -89,30 +87,18 @@ def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
         pairs = list(zip(one.presses, faces, strict=True))
         real = [compared.photographed(press, face, one.untouched) for press, face in pairs]
         made = [compared.rendered(press, face, random) for press, face in pairs]
-        others = [float(np.mean(list(_left_out(some)))) if level != "smoke" else None for some in (real, made)]
+        others: list[float | None] = [None, None]
+        if level != "smoke":  # networks trained on all other presses
+            each = [[a.off(learned([b for b in some if b is not a]).normals(a.features)) for a in some]
+                    for some in (real, made)]  # fmt: skip
+            others = np.mean(each, axis=1).tolist()
         normals.append([name, len(real), like.flat, like.normals, like.noisy, *others])
         colours.append([name, *map(float, (*like.contrast, *like.direction, *like.correlation))])
         say(f"{name}: {like}")
-    heads = columns(
-        "sensor",
-        "presses",
-        "flat [deg]: .1f",
-        "rendered to real [deg]: .1f",
-        "rendered to rendered [deg]: .1f",
-        "real to real, left out [deg]: .1f",
-        "rendered to rendered, left out [deg]: .1f",
-    )
+    heads = columns("sensor", "presses", "flat [deg]: .1f", *(f"{what} [deg]: .1f" for what in PAIRS))
     note = "Medians over presses; correlation of the change within 1.7 contact radii."
-    return [
-        Table("Normals inside the contact circle", heads, normals),
-        Table("Change per slope, rendered over real", columns("sensor", *HEADS), colours, note),
-    ]
-
-
-def _left_out(real: list[PictureOfPress]) -> Iterator[float]:
-    """Error [deg] for each press of a network trained on all others."""
-    for k, one in enumerate(real):
-        yield one.off(render_comparison.learned(real[:k] + real[k + 1 :]).normals(one.features))
+    return [Table("Normals inside the contact circle", heads, normals),
+            Table("Change per slope, rendered over real", columns("sensor", *HEADS), colours, note)]  # fmt: skip
 
 
 def _depth(unit: Unit, say: Say) -> Table:
@@ -145,26 +131,19 @@ def _depth(unit: Unit, say: Say) -> Table:
         found = np.interp(seen[where], steps[np.isfinite(table)], table[np.isfinite(table)])
         return float(np.sqrt(np.mean((found - truth[where]) ** 2)))
 
-    made = (level - renderer.develop(renderer.image(face))).mean(axis=2)
-    real, ours = (photographs.radial_profile(c, press.center, sensor.camera.mm_per_px) for c in (seen, made))
-    profile = float(np.sqrt(np.mean((ours - real) ** 2)) / np.abs(real).max())
-    row = [
-        float(np.sqrt(np.mean(truth[where] ** 2))),
-        off(steps + 1.0, np.array(rendered)),
-        off(*own.T[:, 1:]),
-        profile,
-    ]
-    say(
-        f"ninedtact: depth off by {row[1]:.3f} mm, by its own table {row[2]:.3f}; profile {100 * profile:.1f} % of peak"
-    )
-    heads = columns(
-        "sensor", "flat [mm]: .3f", "rendered to real [mm]: .3f", "real to real [mm]: .3f", "profile off, of peak: .1%"
-    )
+    pair = seen, (level - renderer.develop(renderer.image(face))).mean(axis=2)
+    there, ours = (photographs.radial_profile(c, press.center, sensor.camera.mm_per_px) for c in pair)
+    profile = float(np.sqrt(np.mean((ours - there) ** 2)) / np.abs(there).max())
+    flat, real = float(np.sqrt(np.mean(truth[where] ** 2))), off(*own.T[:, 1:])
+    made = off(steps + 1.0, np.array(rendered))
+    say(f"ninedtact: depth off by {made:.3f} mm, by its own table {real:.3f}; profile {100 * profile:.1f} % of peak")
+    heads = columns("sensor", *(f"{what} [mm]: .3f" for what in ("flat", "rendered to real", "real to real")),
+                    "profile off, of peak: .1%")  # fmt: skip
     note = (
         f"Within {CONTACT:g} mm of the centre, rms; the gain by thickness was fitted to this press. Profile: change of"
         " grey in rings of 0.2 mm to 9 mm around the centre, rms of rendered less photographed, over the largest."
     )
-    return Table("Depth from grey", heads, [["ninedtact", *row]], note)
+    return Table("Depth from grey", heads, [["ninedtact", flat, made, real, profile]], note)
 
 
 class Samples(NamedTuple):
@@ -200,12 +179,9 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, fl
     radius over the ball's that dents reach which stand for them."""
     unit, compared = photographs.unit(name), Comparison(sensor)
     assert unit is not None
-    presses = [
-        photographs.without(
-            compared.photographed(press, solved_presses.face(sensor, press, {}), unit.untouched), hidden
-        )
-        for press, hidden in zip(unit.presses, unit.hidden, strict=True)
-    ]
+    faces = [solved_presses.face(sensor, press, {}) for press in unit.presses]
+    seen = [compared.photographed(*pair, unit.untouched) for pair in zip(unit.presses, faces, strict=True)]
+    presses = [photographs.without(*pair) for pair in zip(seen, unit.hidden, strict=True)]
     flat = float(np.mean([one.off(one.flat) for one in presses]))
     return [Samples.of(one) for one in presses], flat, compared.deepest(unit.presses)
 
@@ -272,19 +248,21 @@ def wedge_tables(say: Say) -> list[Table]:
     for line in made.lines():
         say(f"wedge: {line}")
     young, fitted = made.sensor.gel.layers[0].model_dump()["youngs_modulus_mpa"], made.fitted
-    found: list[list[Cell]] = [
-        ["gel thickness [mm]", *(getattr(fitted.thickness, key) for key in ("value", "low", "high")),
-         made.sensor.gel.thickness_mm],
-        ["Young's modulus [MPa]", *(young * getattr(fitted.modulus, key) for key in ("value", "low", "high")), young],
-        ["zero of the gauge [N]", *(getattr(fitted.zero, key) for key in ("value", "low", "high")), None],
-    ]  # fmt: skip
+    thick = "gel thickness [mm]", fitted.thickness, 1.0, made.sensor.gel.thickness_mm
+    each = (
+        thick,
+        ("Young's modulus [MPa]", fitted.modulus, young, young),
+        ("zero of the gauge [N]", fitted.zero, 1, None),
+    )
+    found: list[list[Cell]] = [[name, *(unit * one for one in (of.value, of.low, of.high)), published]
+                               for name, of, unit, published in each]  # fmt: skip
     errors: list[list[Cell]] = [
         [one.name, len(one.force), one.mae(one.floor), one.mae(one.predicted), one.mae(one.foreign),
          one.mae(one.unaligned), one.mae(one.ceiling)] for one in made.judged
     ]  # fmt: skip
-    heads = ("judged on", "pictures", "mean of the other grip's forces [N]: .2f", "from pictures [N]: .2f",
-             "with the other grip's colours [N]: .2f",
-             "without alignment in time [N]: .2f", "rising curve through the judged [N]: .2f")  # fmt: skip
+    heads = ("judged on", "pictures", *(f"{what} [N]: .2f" for what in (
+        "mean of the other grip's forces", "from pictures", "with the other grip's colours",
+        "without alignment in time", "rising curve through the judged")))  # fmt: skip
     return [
         Table("A GelSight Wedge by a golf ball", columns("", "found: .3g", "low: .3g", "high: .3g", "published: .3g"),
               found, "With 95 % intervals, of both grips; published by those who used the unit, the modulus from its"

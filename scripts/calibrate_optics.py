@@ -1,13 +1,14 @@
 """Fit a shipped sensor file to the reference photographs of a real unit, as `tacgen calibrate optics` does.
 
-    python scripts/calibrate_optics.py gelsight_mini [../shared/reference] [-o mine.yaml]
+python scripts/calibrate_optics.py gelsight_mini [../shared/reference] [-o mine.yaml]
 """
 
 import argparse
 import sys
 from pathlib import Path
 
-from tacgen.calibrate import optics, photometric_model
+from tacgen.calibrate import optics
+from tacgen.calibrate.photometric_model import FitLimits
 from tacgen.calibrate.photos import Photos
 from tacgen.recipe import assets
 
@@ -23,16 +24,14 @@ def main() -> None:
     parser.add_argument("photos", type=Path, nargs="?", help="a folder a sensor in it")
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--start", help="the sensor file to start from; the shipped one if not given")
-    parser.add_argument("--tolerance-mm", type=float, default=0.5)
-    parser.add_argument("--tolerance-deg", type=float, default=5.0)
-    parser.add_argument("--steps", type=int, default=1)
+    for name, usual in (("--tolerance-mm", 0.5), ("--tolerance-deg", 5.0), ("--steps", 1)):
+        parser.add_argument(name, type=type(usual), default=usual)
     asked = parser.parse_args()
     unit = photographs.unit(asked.sensor, asked.photos)
     if unit is None:
         sys.exit(f"no photographs in {asked.photos or photographs.reference()}")
-    how = photometric_model.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
-    photos = Photos(unit.folder, unit.untouched, unit.presses)
-    found = optics.calibrated(assets.sensor_path(asked.start or asked.sensor), photos, how)
+    path, photos = assets.sensor_path(asked.start or asked.sensor), Photos(unit.folder, unit.untouched, unit.presses)
+    found = optics.calibrated(path, photos, FitLimits(asked.tolerance_mm, asked.tolerance_deg, True, asked.steps))
     print("\n".join(found.lines()))
     if asked.out:
         found.write(asked.out)
