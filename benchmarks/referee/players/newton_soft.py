@@ -1,6 +1,5 @@
-"""Newton: the pad as a grid of soft tetrahedra by vertex block descent (SolverVBD), with its moduli and density, and a
-kinematic rigid shape. Forces are what the solver says of contact (contact_f), at rest after a press, and in motion
-after a slide or turn, since friction at rest creeps to 0."""
+"""Newton: the pad as a grid of soft tetrahedra by vertex block descent (SolverVBD), and a kinematic rigid shape. Forces
+are contact_f, at rest after a press, and in motion after a slide or turn, since friction at rest creeps to 0."""
 
 import time
 from typing import Any
