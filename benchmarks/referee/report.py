@@ -59,7 +59,7 @@ def write(folder: Path, found: Sequence[Entry]) -> None:
     parts = [TEXT.read_text().format(first=first(made)).strip(), f"![{NAME}](results/{NAME}.png)"]
     for table in plain["tables"][:SHOWN]:
         parts += [f"### {table['title']}", results_page.grid(table), *filter(None, [table["note"]])]
-    parts.append(f"References, settings and what was not played are in `results/{NAME}.json`.")
+    parts.append(f"References and settings are in `results/{NAME}.json`.")
     (folder / PAGE).write_text("\n\n".join(parts) + "\n")
 
 
@@ -100,7 +100,7 @@ def tables(entries: Sequence[Entry]) -> list[Table]:
         numbers: list[Cell] = [float(how(v)) if (v := values(one, part)) else None for _, part, how in MEANS]
         rows.append([one["player"], one["setting"], len(scores(one)), *numbers, seconds(one) if scores(one) else None])
     heads = columns("player", "setting", "cases: d", *(head for head, *_ in MEANS), "s a frame: .3g")
-    note = "A player has no score in the cases that it judges itself."
+    note = "A player has no score where it judges."
     by_case: list[list[Cell]] = [
         [label(one), *(float(np.mean(one["cases"][c.name]["force"])) if c.name in scores(one) else None for c in CASES)]
         for one in ran
@@ -156,8 +156,8 @@ def first(entries: Sequence[Entry]) -> str:
         return "tacgen has not played yet."
     errors = {name: float(np.mean(one["force"])) for name, one in scores(ours).items()}
     worst = max(errors, key=lambda name: errors[name])
-    text = f"At default quality tacgen's forces are off by {np.mean(list(errors.values())):.1%} in the mean of the"
-    text += f" {len(errors)} cases that others judge, and most in `{worst}`: {errors[worst]:.1%}."
+    text = f"At default quality tacgen's forces are off by {np.mean(list(errors.values())):.1%} in the mean of"
+    text += f" {len(errors)} cases, and most in `{worst}`: {errors[worst]:.1%}."
     sure = sum(bool(one["resolved"]) for one in scores(ours).values())
     text += f" The reference is ten times as sure as that in {sure} of them."
     others = {name: one for name, one in ran.items() if one["player"] != OURS}
@@ -166,12 +166,12 @@ def first(entries: Sequence[Entry]) -> str:
         better = {who: float(np.mean(scores(one)[name]["force"])) for who, one in others.items() if name in scores(one)}
         apart = max(float(np.mean(scores(ours)[name]["own"])), LEAST_DIFFERENCE)
         if better and better[who := min(better, key=lambda one: better[one])] < error - apart:
-            lost.append(f"`{name}` ({who}: {better[who]:.1%} against {error:.1%})")
+            lost.append(f"`{name}` ({who}: {better[who]:.1%})")
     text += f" It is beaten in {', '.join(lost)}." if lost else " No other player is nearer in any of them."
     fastest = dict[str, float]()
     for one in others.values():
         fastest[one["player"]] = min(seconds(one), fastest.get(one["player"], np.inf))
-    faster = [f"{who} ({least:.2g} s)" for who, least in fastest.items() if least < seconds(ours)]
+    faster = [who for who, least in fastest.items() if least < seconds(ours)]
     if faster:
         text += f" Faster a frame than its {seconds(ours):.2g} s: {', '.join(faster)}."
     return text

@@ -102,30 +102,29 @@ def test_friction_is_within_coulombs_cone_and_its_derivative_is_exact() -> None:
     rng, mu = np.random.default_rng(0), 0.3
     shape = scene_of_row.build(row_of(BY_NAME["press ball"].recipe)).shape
     before = np.column_stack([rng.uniform(-1, 1, (300, 2)), np.full(300, 0.05)])
-    y, kept = (
-        before + rng.normal(size=(300, 3)) * (0.002, 0.002, 0.01),
-        (np.zeros(300), 0.02 * rng.normal(size=(300, 3))),
-    )
-    _, slope, (p, rub) = felupe_contact.contact(y, before, kept, shape, mu, False)
+    y = before + rng.normal(size=(300, 3)) * (0.002, 0.002, 0.01)
+    kept = np.zeros(300), 0.2 * rng.normal(size=(300, 3)), np.zeros((300, 1), bool)
+    _, slope, (p, rub, sticks) = felupe_contact.contact(y, before, kept, shape, mu, False)
     size, touches = np.linalg.norm(rub, axis=1), p > 0
     assert (size <= mu * p * (1 + 1e-12)).all()
-    slips = np.isclose(size, mu * p, rtol=1e-9) & touches
-    assert 20 < slips.sum() < touches.sum() - 20  # some stick
-    assert ((rub * (y - before)).sum(1)[slips & ~kept[1].any(1)] <= 0).all()
+    slips = touches & ~sticks[:, 0]
+    assert 20 < slips.sum() < touches.sum() - 20 < 260  # some slip, some stick, some are away
+    np.testing.assert_allclose(size[slips], mu * p[slips])
     for k, step in enumerate(1e-7 * np.eye(3)):
         ends = (felupe_contact.contact(y + sign * step, before, kept, shape, mu, False)[0] for sign in (1, -1))
         np.testing.assert_allclose(np.subtract(*ends) / 2e-7, slope[:, :, k], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_felupes_pad_presses_like_calculix_and_drags_by_friction() -> None:
-    """With mu at full slip: closed form, tangential = mu times normal where the contact is small and so flat."""
+    """Closed form of full slip: tangential = friction times normal, where the contact is so small that it is flat."""
     needs("felupe")
     needs("pypardiso")
     press = felupe_player.run(BY_NAME["press ball"], {"edge_mm": 1.25, "steps": 2}).force
-    np.testing.assert_allclose(press, reference.kept()["press ball"].answer.force, atol=0.005 * 1.87)
-    shallow = Case("", "ball", 0.3, (Pose(z=-0.05), Pose(x=0.2, z=-0.05)), (1,))
-    force = felupe_player.run(shallow, {"edge_mm": 0.4, "steps": 4}).force[0]
-    assert force[0] / -force[2] == pytest.approx(0.3, rel=0.02)
+    np.testing.assert_allclose(press, reference.kept()["press ball"].answer.force, atol=0.01)
+    shallow = Case("", "ball", 0.3, (Pose(z=-0.1), Pose(x=0.3, z=-0.1)), (1,))
+    force = felupe_player.run(shallow, {"edge_mm": 0.6, "steps": 2}).force[0]
+    assert force[0] / -force[2] == pytest.approx(0.3, rel=0.015)
 
 
 def test_a_quarter_that_turns_is_the_whole() -> None:
@@ -135,8 +134,8 @@ def test_a_quarter_that_turns_is_the_whole() -> None:
     x = pad.points
     twist = np.column_stack([-x[:, 1], x[:, 0], 0 * x[:, 0]]) * (x[:, 2:] + 4)
     shift = np.tile([1.0, 0, 0], (len(x), 1)) * (x[:, 2:] + 4)
-    left = [np.linalg.norm(field.ravel() - pad.free @ (pad.free.T @ field.ravel() / counts)) for field in (twist, shift)
-            for counts in [np.asarray(abs(pad.free).power(2).sum(0)).ravel()]]  # fmt: skip
+    sizes = np.asarray(pad.free.power(2).sum(0)).ravel()
+    left = [np.linalg.norm(v.ravel() - pad.free @ (pad.free.T @ v.ravel() / sizes)) for v in (twist, shift)]
     assert left[0] < 1e-9 < left[1]
     points, forces = pad.whole(x[pad.face], np.tile([1.0, 0, 2.0], (len(pad.face), 1)))
     np.testing.assert_allclose(forces.sum(0), [0, 0, 8.0 * len(pad.face)], atol=1e-9)

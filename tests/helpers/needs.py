@@ -7,8 +7,8 @@ import pytest
 # what the extras bring, by the names that are imported
 EXTRAS = ("dask_jobqueue", "distributed", "mkdocs", "mujoco", "numcodecs", "pyarrow", "pymeshlab", "rerun", "torch")
 EXTRAS += ("webdataset", "zarr")
-# what tests alone use: a simulator, a measure of pictures, and others' readers of what is exported
-OTHERS = ("cv2", "datasets", "lerobot", "skimage", "vtk")
+# what tests alone use: simulators, a measure of pictures, and others' readers of what is exported
+OTHERS = ("cv2", "datasets", "felupe", "lerobot", "pypardiso", "skimage", "vtk")
 
 
 def needs(name: str) -> ModuleType:

@@ -12,7 +12,7 @@ from benchmarks.referee.players.felupe_pad import Pad
 
 PUSH, HOLD = 20.0, 4.0  # stiffness along the normal, and of stick, before they are corrected [MPa/mm]
 TRIES, FORCE_N = 13, 1e-5  # Newton's steps; largest force that is left at a node
-Touch = tuple[Array, Array, Array]  # pressure (q,), friction (q, 3) in the shape's frame [MPa], whether it sticks (q, 1)
+Touch = tuple[Array, Array, Array]  # pressure (q,), friction (q, 3) in the shape's frame [MPa], where it sticks (q, 1)
 
 
 def contact(

@@ -38,7 +38,7 @@ class Pad:
         slid, along = (max(pose.x for pose in case.poses), 0.0), []
         for k in (0, 1):
             reach, size, end = FINE_MM[case.shape][k], edge * SIZES[case.shape][k], PAD_MM[k] / 2
-            half = [] if k in self.mirrors or self.turned else -axis(reach, size, end)[:0:-1]
+            half = np.zeros(0) if k in self.mirrors or self.turned else -axis(reach, size, end)[:0:-1]
             along.append(np.concatenate([half, axis(reach + slid[k], size, end)]))
         deep = -axis(UNDER * edge, UNDER * edge, PAD_MM[2])[::-1]
         mesh = fem.mesh.Grid(*along, deep).add_midpoints_edges()

@@ -1,7 +1,5 @@
-"""Newton: the pad as a grid of soft tetrahedra by vertex block descent (SolverVBD), and a kinematic rigid shape, as in
-its examples of soft bodies, with the pad's moduli and density. Forces are what the solver says of contact (contact_f),
-at rest after a press, and in motion after a slide or turn, since friction at rest creeps to 0.
-"""
+"""Newton: the pad as a grid of soft tetrahedra by vertex block descent (SolverVBD), and a kinematic rigid shape. Forces
+are contact_f, at rest after a press, and in motion after a slide or turn, since friction at rest creeps to 0."""
 
 import time
 from typing import Any
@@ -58,10 +56,10 @@ def _model(case: Case, how: Settings) -> Any:
     young, cell, base = how["young_factor"] * YOUNGS_MPA * 1e6, how["cell_mm"] / 1000, -PAD_MM[2] / 1000
     x, y, z = (round(size / how["cell_mm"]) for size in PAD_MM)
     lame = {"k_mu": young / (2 * (1 + POISSONS)), "k_lambda": young * POISSONS / ((1 + POISSONS) * (1 - 2 * POISSONS))}
-    corner = wp.vec3(-PAD_MM[0] / 2000, -PAD_MM[1] / 2000, base)
     builder.add_soft_grid(
-        pos=corner, rot=wp.quat_identity(), vel=wp.vec3(), cell_x=cell, cell_y=cell, cell_z=cell, dim_x=x, dim_y=y,
-        dim_z=z, **lame, density=DENSITY_KG_M3, k_damp=1.0, particle_radius=0.0,
+        pos=wp.vec3(-PAD_MM[0] / 2000, -PAD_MM[1] / 2000, base), rot=wp.quat_identity(), vel=wp.vec3(), dim_x=x,
+        dim_y=y, dim_z=z, cell_x=cell, cell_y=cell, cell_z=cell, density=DENSITY_KG_M3, k_damp=1.0, particle_radius=0.0,
+        **lame,
     )  # fmt: skip
     for i, at in enumerate(builder.particle_q):
         builder.particle_mass[i] *= at[2] > base + 1e-6  # the base does not move
@@ -77,4 +75,6 @@ def _model(case: Case, how: Settings) -> Any:
     return model
 
 
-PLAYERS = (Simulator("Newton soft, VBD", ("newton",), ("newton", "warp-lang"), {"default": DEFAULT}, run),)
+TUNED = DEFAULT | {"young_factor": 0.84, "ke": 4.71e4}  # the best of a search on three presses: error 32 % to 16 %
+CHOSEN = {"default": DEFAULT, "tuned": TUNED}
+PLAYERS = (Simulator("Newton soft, VBD", ("newton",), ("newton", "warp-lang"), CHOSEN, run),)
