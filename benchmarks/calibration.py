@@ -29,8 +29,7 @@ def draws(presses: int, count: int) -> list[list[int]]:
 
 
 def judged(name: str, given: list[int]) -> tuple[list[float], bool, str]:
-    """Errors of normals [deg] in all presses of a unit, by the shipped file or by the fit to some of them; whether that
-    would be written, and what it says of itself."""
+    """Errors of normals [deg] in a unit's presses by the shipped file or a fit to some; whether it is written; told."""
     unit, sensor, written, told = photographs.unit(name), sensor_of(FILES[name]), True, ""
     assert unit is not None
     steps.MAX_WORKERS = 1  # the other cores have draws of their own
@@ -52,7 +51,8 @@ def main() -> None:
             draws(len(photographs.as_drawn(name, photographs.reference() / name)), int(count)),
             list[float](),
         )
-        shipped, *found = in_own_processes("benchmarks.calibration:judged", [(name, given) for given in [[], *chosen]])
+        jobs = [(name, given) for given in [[], *chosen]]
+        shipped = next(found := in_own_processes("benchmarks.calibration:judged", jobs))
         for given, (each, written, told) in zip(chosen, found, strict=True):
             before, after = (np.delete(one, given).mean() for one in (shipped[0], each))
             gains += [before - after] if written else []
