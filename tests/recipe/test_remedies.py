@@ -22,7 +22,7 @@ RECIPES = {
     "uncertainty={material: {modulus: 30}}": "must be at most 1 (got 30)",
     "uncertainty={pose: {depth_mm: 5}}": "must be at most the gel's thickness, 4 mm (got 5)",
     "quality={edge_mm: 2.1}": "ask for quality: {edge_mm: 1} or finer",
-    "quality=draft|sensor.gel.layers[0].thickness_mm=1": "ask for quality: {edge_mm: 0.25} or finer",
+    "quality=draft|sensor.gel.layers[0].thickness_mm=1|sensor.plate.thickness_mm=12": "{edge_mm: 0.25} or finer",
     "indenter={shape: sphere, radius_mm: 1e9}": "A flat plate is {shape: box, size_x_mm: 37.9, size_y_mm: 31.1}",
     "indenter={shape: mesh, file: gear, size_mm: 1e9}": "is {shape: box, size_x_mm: 37.9, size_y_mm: 31.1}",
     "uncertainty={mesh: true}|dynamics={density_kg_m3: 1000, frame_s: 0.1}": "or grasp, dynamics and viscosity",
