@@ -47,10 +47,8 @@ def main() -> None:
     """Draw, fit, judge and sum up."""
     count, *names = sys.argv[1:] or ["20"]
     for name in names or FILES:
-        chosen, gains = (
-            draws(len(photographs.as_drawn(name, photographs.reference() / name)), int(count)),
-            list[float](),
-        )
+        chosen = draws(len(photographs.as_drawn(name, photographs.reference() / name)), int(count))
+        gains = list[float]()
         jobs = [(name, given) for given in [[], *chosen]]
         shipped = next(found := in_own_processes("benchmarks.calibration:judged", jobs))
         for given, (each, written, told) in zip(chosen, found, strict=True):

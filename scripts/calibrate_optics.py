@@ -31,7 +31,8 @@ def main() -> None:
     if unit is None:
         sys.exit(f"no photographs in {asked.photos or photographs.reference()}")
     path, photos = assets.sensor_path(asked.start or asked.sensor), Photos(unit.folder, unit.untouched, unit.presses)
-    found = optics.calibrated(path, photos, FitLimits(asked.tolerance_mm, asked.tolerance_deg, True, asked.steps))
+    limits = FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
+    found = optics.calibrated(path, photos, limits)
     print("\n".join(found.lines()))
     if asked.out:
         found.write(asked.out)

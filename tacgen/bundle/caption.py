@@ -13,8 +13,15 @@ from tacgen.bundle.scene_words import finger_text, rounded, shape_text
 from tacgen.outputs.contact_modes import CONTACT_MODES
 
 EVENT_MODE_PATH = "/frames/events/mode"
-# of an instruction, after the first contact
-SEGMENT_VERBS = {kind: kind for kind in ("hold", "slide", "twist", "tilt", "lift", "release")} | {"replay": "move"}
+SEGMENT_VERBS = {  # of an instruction, after the first contact
+    "hold": "hold",
+    "slide": "slide",
+    "twist": "twist",
+    "tilt": "tilt",
+    "lift": "lift",
+    "release": "release",
+    "replay": "move",
+}
 
 
 class Change(NamedTuple):
@@ -42,7 +49,8 @@ def scene_text(bundle: Bundle) -> str:
     moves = ", ".join(filter(None, map(move_text, bundle.recipe.get("trajectory", ()))))
     text = indenter_text(bundle)
     article = "An" if text[:1].lower() in "aeiou" else "A"
-    return f"{article} {text}, on {sensor_text(bundle)}" + f": {moves}" * bool(moves)
+    what = f"{article} {text}, on {sensor_text(bundle)}"
+    return f"{what}: {moves}" if moves else what
 
 
 def task(bundle: Bundle) -> str:

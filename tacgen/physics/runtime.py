@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 import warnings
+from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
@@ -275,7 +276,9 @@ def _launch_on_gpu(kernel: wp.Kernel, dim: tuple[int, ...], values: tuple[Any, .
     if 0 in dim:
         return
     device = next(value.get_device() for value in values if hasattr(value, "get_device"))
-    prepared = vars(_threads).setdefault(device, TensorLaunches())(kernel, dim, values)
+    if not hasattr(_threads, "on_gpus"):
+        _threads.on_gpus = defaultdict(TensorLaunches)  # by the number of the GPU
+    prepared = _threads.on_gpus[device](kernel, dim, values)
     # the address of torch.cuda.current_stream(), which takes as long as the launch
     prepared.launch(_stream(torch._C._cuda_getCurrentRawStream(device), prepared.device.alias))
 

@@ -46,8 +46,12 @@ SECTION_HEIGHT_RATIO = 0.42  # height of a section over its width
 SECTION_WIDTH_RATIO = 3.4  # width of a section over the gel's thickness
 MIN_STRESS_SCALE_MPA = 1e-6  # [MPa] of the brightest colour: rounding of a gel that nothing touches stays dark
 SECTION_SHIFT_MM = 1e-6  # [mm] shift of the section, so that it does not pass through nodes of a symmetric mesh
-CONTACT_STATE_STYLES = {postprocess.FREE: ("free", "#f2f2f2"), postprocess.EDGE: ("edge", "#f0e442")}
-CONTACT_STATE_STYLES |= {postprocess.STICK: ("stick", "#0072b2"), postprocess.SLIP: ("slip", "#d55e00")}
+CONTACT_STATE_STYLES = {
+    postprocess.FREE: ("free", "#f2f2f2"),
+    postprocess.EDGE: ("edge", "#f0e442"),
+    postprocess.STICK: ("stick", "#0072b2"),
+    postprocess.SLIP: ("slip", "#d55e00"),
+}
 # a component of stress: its name, function of the tensor (n, 6), colour map, and whether it is signed
 Section = tuple[str, Callable[[Array], Array], str, bool]
 STRESS_SECTIONS: tuple[Section, ...] = (

@@ -75,15 +75,10 @@ def _overview(seen: Overview) -> str:
     for name in ("sensor", "solver", "renderer", "tacgen_version"):
         rows.append((name.replace("_", " "), ", ".join(seen.distinct(name))))
     facts = table((), [row for row in rows if row[1]])
-    failed = [
-        (
-            len(names),
-            state,
-            reason or "not made yet",
-            ", ".join(names[:8]) + f" and {len(names) - 8} more" * (len(names) > 8),
-        )
-        for (state, reason), names in causes(seen.scenes).items()
-    ]
+    failed = []
+    for (state, reason), names in causes(seen.scenes).items():
+        shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        failed.append((len(names), state, reason or "not made yet", shown))
     why = f"<h2>Failures by cause</h2>{table(('scenes', 'state', 'cause', ''), failed)}" if failed else ""
     return f"<div class=tiles>{tiles}</div>{facts}{why}"
 

@@ -13,8 +13,10 @@ from tacgen.base.terminal import dropping
 from tacgen.report.sheet import duration
 
 COMPILING = "compiling: half a minute, once for this version on this machine"
-HOLD_UPS = {"compiling": COMPILING}  # events that hold up the next frame and happen once, and what is said of them
-HOLD_UPS["tracing"] = "tracing light through the gel: seconds to minutes, once for this sensor and quality"
+HOLD_UPS = {  # events that hold up the next frame and happen once, and what is said of them
+    "compiling": COMPILING,
+    "tracing": "tracing light through the gel: seconds to minutes, once for this sensor and quality",
+}
 MIN_LINE_INTERVAL_S = 2.0  # least time between two lines, and before the first, where there is no terminal [s]
 MIN_SHARE_FOR_ESTIMATE = 0.05  # of the work, from which the time left is estimated
 
