@@ -54,10 +54,16 @@ class HeldOutPresses:
         of normals where they are known, together with what two networks differ by, else of counts, and the counts do
         not rise by more than theirs."""
         scores = self.counts if self.degrees is None else self.degrees
-        (gain, error), (counts, scatter) = _gain(scores), _gain(self.counts)
+        gain, error = _gain(scores)
         alone = 0.0 if self.degrees is None else SCORE_SCATTER_DEG
         enough = gain >= MIN_GAIN_SHARE * scores[0].mean()
-        return bool(enough and gain > np.hypot(error, alone) and counts >= -scatter)
+        return bool(enough and gain > np.hypot(error, alone) and not self.lost)
+
+    @property
+    def lost(self) -> bool:
+        """Whether the counts rise by more than their standard error: then no error of normals makes the fit better."""
+        gain, error = _gain(self.counts)
+        return gain < -error
 
     def __str__(self) -> str:
         parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]

@@ -68,6 +68,11 @@ class Dents:
         """
         if depth <= 0:
             return np.zeros_like(r), np.zeros_like(r)
+        profile = self.profile(depth, blur)
+        return profile.drop_at(r), profile.slope_at(r)
+
+    def profile(self, depth: float, blur: float) -> "DentProfile":
+        """The face of a press to a depth > 0 [mm]; `blur`: see `face`."""
         k = int(np.clip(np.searchsorted(self.depth, depth) - 1, 0, len(self.depth) - 2))
         w = float(np.clip((depth - self.depth[k]) / (self.depth[k + 1] - self.depth[k]), 0.0, 1.0))
         drop, slope = ((1 - w) * table[k] + w * table[k + 1] for table in (self.drop, self.slope))
@@ -79,8 +84,25 @@ class Dents:
         if width > MIN_BLUR_SPACINGS * fine[1]:
             both = np.concatenate([-radial[:0:-1], radial])  # odd in the radius
             radial = gaussian_filter1d(both, width / fine[1])[len(fine) - 1 :]
-        return (depth * np.interp(r / reach, DENT_RADII, drop, right=0.0),
-                np.sqrt(depth / self.ball) * np.interp(r / reach, fine, radial, right=0.0))  # fmt: skip
+        return DentProfile(reach * DENT_RADII, depth * drop, reach * fine, np.sqrt(depth / self.ball) * radial)
+
+
+@dataclass(frozen=True)
+class DentProfile:
+    """Change of z [mm] and slope of the face by the distance from the centre of a press [mm]; 0 beyond the last."""
+
+    drop_radii: Array
+    drop: Array
+    slope_radii: Array
+    slope: Array
+
+    def drop_at(self, r: Array) -> Array:
+        """Change of z (k,) [mm] at distances r (k,) [mm]."""
+        return np.asarray(np.interp(r, self.drop_radii, self.drop, right=0.0))
+
+    def slope_at(self, r: Array) -> Array:
+        """Radial slope (k,) at distances r (k,) [mm]."""
+        return np.asarray(np.interp(r, self.slope_radii, self.slope, right=0.0))
 
 
 def with_thickness(sensor: LitSensor, thickness: float) -> LitSensor:

@@ -8,15 +8,14 @@ the contact, so that the factors (the contrast) and the depths are found togethe
 for all pictures, depth and centre of each picture by Gauss and Newton, in turn.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize_scalar
 
-from tacgen.calibrate.dent_tables import Dents
+from tacgen.calibrate.dent_tables import DentProfile, Dents
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Untouched
 from tacgen.sensor.model import LitSensor
@@ -29,6 +28,7 @@ COMPARED_PIXELS = 1500  # pixels of a smoothed picture that are compared, about
 PICTURE_BLUR = 0.5  # standard deviation of this smoothing, over the distance of these pixels
 OMITTED_RIM_SHARE = 0.06  # of the picture's sides: left out along them, where lights and walls show
 DEPTH_DIFFERENCE_MM = 0.02  # [mm]: of differences by depth and centre
+JACOBIAN_REACH_MM = 0.05  # [mm]: change of depth or centre over which derivatives are kept
 MIN_PRESS_DEPTH_MM = 1e-3  # [mm]: smallest depth
 COLOUR_RIDGE = 1e-5  # of the equations for the colours, over their diagonal
 PLACE_COLUMNS, PLACE_RIDGE = 4, 0.03  # columns that vary with the place, and their ridge over the squared slopes
@@ -82,6 +82,7 @@ class PressView:
         self._face = Untouched.of(sensor.gel)
         self.level = self._hit(np.full(len(x), float(self._face.height(np.zeros((1, 2)))[0])))
         self.half = np.abs(self.level).max(axis=0)
+        self._untouched = self._hit(self._face.height(self.level))  # where the rays meet the face, about
 
     def _hit(self, z: Array) -> Array:
         """x and y (p, 2) [mm] of the pixels' rays at heights z (p,) [mm]."""
@@ -126,20 +127,21 @@ class PressView:
 
     def columns(self, dents: Dents, at: Array, blur: float, rich: bool) -> Array:
         """Terms (p, columns), each with mean 0, in which the colours of a press at (depth, x, y) [mm] are linear."""
-        z = self._face.height(self.level)
-        for smooth in (0.0, blur):  # the drop is not smoothed
-            xy = self._hit(z)
-            away = np.hypot(*(xy - at[1:]).T)
-            drop, slope = dents.face(float(at[0]), away, smooth)
-            z = self._face.height(xy) + drop
-        s = (slope / np.maximum(away, 1e-9))[:, None] * (xy - at[1:])
-        square, drop = np.column_stack([s**2, s[:, 0] * s[:, 1]]), drop[:, None]
+        return self.terms(dents.profile(float(at[0]), blur), at[1:], rich)
+
+    def terms(self, dent: DentProfile, at: Array, rich: bool) -> Array:
+        """`columns` of a press at x and y [mm], whose face is known."""
+        drop = dent.drop_at(np.hypot(*(self._untouched - at).T))
+        xy = self._hit(self._face.height(self._untouched) + drop)
+        away = np.hypot(*(xy - at).T)
+        s = (dent.slope_at(away) / np.maximum(away, 1e-9))[:, None] * (xy - at)
+        square, drop = np.column_stack([s**2, s[:, 0] * s[:, 1]]), dent.drop_at(away)[:, None]
         if rich:
             (x, y), cube = (xy / self.half).T[..., None], np.column_stack([s**3, s**2 * s[:, ::-1]])
             parts = [s, square, cube, drop, x * s, y * s, x**2 * s, x * y * s, y**2 * s, x * square, y * square,
                      x * drop, y * drop]  # fmt: skip
         else:
-            x, y = at[1:] / self.half
+            x, y = at / self.half
             parts = [s, square, (s**2).sum(axis=1, keepdims=True) * s, drop, x * s, y * s]
         table = np.column_stack(parts)
         return np.asarray(table - table.mean(axis=0))
@@ -207,12 +209,15 @@ def located(
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
     at, moving = start.copy(), np.ones(len(pictures), bool)
     tables = [view.columns(dents[p.ball], a, blur, rich) for p, a in zip(pictures, at, strict=True)]
+    slopes = dict[int, tuple[Array, Array]]()  # place and Jacobian of each picture
     for _ in range(rounds):
         found = best_colours(tables, pictures, rich) if colours is None else colours
         largest = 0.0
         for k in np.flatnonzero(moving).tolist():
             dent = dents[pictures[k].ball]
-            step = _step(partial(view.columns, dent, blur=blur, rich=rich), pictures[k], at[k], tables[k], found, dent)
+            if k not in slopes or np.abs(at[k] - slopes[k][0]).max() > JACOBIAN_REACH_MM:
+                slopes[k] = at[k].copy(), _jacobian(view, dent, at[k], tables[k], found, blur, rich)
+            step = _step(slopes[k][1], pictures[k], at[k], tables[k], found, dent)
             at[k] += step
             tables[k] = view.columns(dent, at[k], blur, rich)
             moving[k] = colours is None or abs(step[0]) > SETTLED_DEPTH_MM
@@ -235,13 +240,19 @@ def best_colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich
     return np.asarray(np.linalg.solve(normal + np.diag(held), right))
 
 
-def _step(
-    columns: Callable[[Array], Array], picture: PressPicture, at: Array, table: Array, colours: Array, dents: Dents
+def _jacobian(
+    view: PressView, dents: Dents, at: Array, table: Array, colours: Array, blur: float, rich: bool
 ) -> Array:
+    """Derivatives (3, 3 p) of a picture [counts] by depth, x and y [mm], by differences."""
+    (depth, x, y), d = at, DEPTH_DIFFERENCE_MM
+    here = dents.profile(depth, blur)
+    moved = (dents.profile(depth + d, blur), at[1:]), (here, np.array([x + d, y])), (here, np.array([x, y + d]))
+    return np.array([((view.terms(*one, rich) - table) @ colours).ravel() / d for one in moved])
+
+
+def _step(jacobian: Array, picture: PressPicture, at: Array, table: Array, colours: Array, dents: Dents) -> Array:
     """Change of depth, x and y [mm] by Gauss and Newton, within the depths that are solved."""
     made = table @ colours
-    moved = [columns(at + move) @ colours for move in DEPTH_DIFFERENCE_MM * np.eye(3)]
-    jacobian = np.array([(one - made).ravel() / DEPTH_DIFFERENCE_MM for one in moved])
     normal = jacobian @ jacobian.T
     held = normal + 1e-6 * max(float(np.trace(normal)), 1e-9) * np.eye(3)
     step = np.linalg.solve(held, jacobian @ (picture.change - made).ravel())

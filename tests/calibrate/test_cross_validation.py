@@ -94,6 +94,21 @@ def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) ->
     assert (done.exit_code, out.is_file()) == (0, True)
 
 
+def test_counts_that_rise_refuse_a_fit_without_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(photometric_fit, "Comparison", lambda _: pytest.fail("a network learns"))
+    fits, out = photometric_fit.PhotometricFits, tmp_path / "mine.yaml"
+    judged = fits.judged
+
+    def worse(self: Any, groups: list[list[int]]) -> Any:
+        counts, made = judged(self, groups)
+        return np.vstack([0 * counts[:1] + 2, 0 * counts[1:] + 3]), made
+
+    monkeypatch.setattr(fits, "judged", worse)
+    done = radiances(tmp_path, sensor(camera=FINE, markers=None), "-o", out)
+    said = "2.0 before and 3.0 after the fit [counts rms]; --anyway writes it"
+    refused(done, f"{out}: not written: the fit is not better on presses that it has not seen: {said}")
+
+
 @pytest.mark.slow
 def test_a_fit_that_helps_is_written_with_its_scores_and_drawn(tmp_path: Path) -> None:
     out, figure = tmp_path / "mine.yaml", tmp_path / "unseen.png"
@@ -158,8 +173,9 @@ def test_a_force_beside_the_gel_is_refused() -> None:
 
 
 def test_the_report_is_json(tmp_path: Path) -> None:
-    unit = sensor(camera=FINE, markers=None)
-    path, folder = written(unit, tmp_path / "file.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:2])
+    file, bright = sensor(camera=FINE, markers=None), [{**led, "power": 1.5} for led in PLAIN["leds"]]
+    unit = sensor(leds=bright, camera=FINE, markers=None)
+    path, folder = written(file, tmp_path / "file.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:2])
     found = optics.optics(str(path), folder, FitLimits(0, 0)).plain()
     assert found["unseen"]["presses"] == ["press_0.png", "press_1.png"]
     assert np.shape(found["unseen"]["counts"]) == np.shape(found["unseen"]["degrees"]) == (2, 2)
