@@ -240,9 +240,7 @@ def best_colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich
     return np.asarray(np.linalg.solve(normal + np.diag(held), right))
 
 
-def _jacobian(
-    view: PressView, dents: Dents, at: Array, table: Array, colours: Array, blur: float, rich: bool
-) -> Array:
+def _jacobian(view: PressView, dents: Dents, at: Array, table: Array, colours: Array, blur: float, rich: bool) -> Array:
     """Derivatives (3, 3 p) of a picture [counts] by depth, x and y [mm], by differences."""
     (depth, x, y), d = at, DEPTH_DIFFERENCE_MM
     here = dents.profile(depth, blur)

@@ -35,6 +35,7 @@ from tacgen.report import fit_figures
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
+Array = np.ndarray
 UNIT_SOURCE = "by tacgen calibrate unit"
 MIN_EXPLAINED_SHARE = 0.3  # least share of the pictures' changes that dents of the given balls explain
 # contact radius that is solved, over the largest rough one; and its steps
@@ -221,7 +222,6 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     try:
         steps.begin("the method's own error, from rendered presses", 2 * SCAN_S * len(photos.presses))
         made = replace(made, fitted=indentation_fit.corrected(raw, _at_thickness(sensor, raw, asked), presses))
-        steps.begin("forces of presses that the fit has not seen", 2 * SCAN_S * len(photos.presses))
         made = replace(made, judged=_held_out(photos, presses))
         if asked.lights:
             now = _at_thickness(sensor, made.fitted, asked)
@@ -282,14 +282,22 @@ def _held_out(photos: GaugedPhotos, presses: GaugedPresses) -> tuple[HeldOutForc
     """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
     names = photos.recordings
     group = presses.gauge.recording if len(names) > 1 else np.arange(len(presses.pictures))
-    out = []
     groups = cross_validation.folds(int(group.max()) + 1)
-    for held in groups if max(map(len, groups)) == 1 else groups[-1:]:  # each takes a scan of all thicknesses
-        where = np.isin(group + 1, held)
-        name = names[held[0] - 1] if len(held) == 1 and len(names) > 1 else f"{where.sum()} held out"
-        with suppress(ValueError):  # the others are too few
-            out.append(replace(indentation_fit.held_out_forces(presses, where), name=name))
-    return tuple(out)
+    each = groups if max(map(len, groups)) == 1 else groups[-1:]  # each takes a scan of all thicknesses
+    held = [np.isin(group + 1, some) for some in each]
+    said = [names[some[0] - 1] if len(some) == 1 and len(names) > 1 else f"{where.sum()} held out"
+            for some, where in zip(each, held, strict=True)]  # fmt: skip
+    texts = [f"forces of presses that the fit has not seen: {one}" for one in said]
+    jobs, seconds = [(presses, where) for where in held], 2 * SCAN_S * len(presses.pictures) / len(held)
+    found = zip(steps.on_workers(_forces_of, jobs, texts, seconds), said, strict=True)
+    return tuple(replace(one, name=name) for one, name in found if one is not None)
+
+
+def _forces_of(presses: GaugedPresses, where: Array) -> HeldOutForces | None:
+    """Judgement by some presses; None if the others are too few for a fit."""
+    with suppress(ValueError):
+        return indentation_fit.held_out_forces(presses, where)
+    return None
 
 
 def _lights(
