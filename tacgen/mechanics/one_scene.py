@@ -12,7 +12,7 @@ from tacgen.mechanics import contact_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import BulkPoint
 from tacgen.mechanics.condensation import Condensation
-from tacgen.mechanics.contact_newton import ContactIterate, ContactStatus, Quadratic, QuadraticPoint
+from tacgen.mechanics.contact_newton import ContactIterate, Quadratic, QuadraticPoint
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import NotConverged
@@ -31,9 +31,9 @@ from tacgen.mechanics.numerics import Checked, Reached, StepEnd
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History
+from tacgen.physics.decisions import ContactStatus
 
 Array = np.ndarray
-CONTACT_OUTCOMES = {ContactStatus.running: Outcome.more, ContactStatus.unstable: Outcome.unstable}
 
 
 @dataclass(frozen=True)
@@ -162,14 +162,14 @@ class OneScene:
         contact = on_condensed(self._problem.tangent.condensation, self.coupled)
         self.making = Making(g, y, quadratic, contact_newton.contact_start(quadratic, contact, quadratic.start))
 
-    def contact(self, rows: list[int]) -> list[Outcome]:
+    def contact(self, rows: list[int]) -> list[ContactStatus]:
         options, made = self.options, self.making
         inner = contact_newton.contact_step(
             made.quadratic, made.inner, xtol=self._end, max_steps=options.max_contact, radius=self._problem.edge
         )
         self.making = replace(made, inner=inner)
         self.course.newton.inner_damping = made.quadratic.schur.damping  # which the step may have increased
-        return [CONTACT_OUTCOMES.get(inner.status, Outcome.ended)]
+        return [inner.status]
 
     def lower(self, rows: list[int], part: float) -> list[bool]:
         made, at, condensed = self.making, self.at, self._problem.tangent.condensation
@@ -211,7 +211,7 @@ class OneScene:
         contact = self.coupled.contact
         self.touching = touched(course.history, contact, there.x)
         covered = tangent.condensation.covers(contact.faces.conn[self.touching])
-        circling, agrees = inner.status is ContactStatus.circling, inner.off <= self._end
+        circling, agrees = inner.status is ContactStatus.circling, not inner.off > self._end
         return [StepEnd(residual, still, covered, inner.converged, circling, agrees)]
 
     def _residual(self, there: BulkPoint) -> float:
