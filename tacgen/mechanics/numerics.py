@@ -18,6 +18,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.physics.decisions import ContactStatus
 
 Array = np.ndarray
+BARRIER_STIFFENING_FACTOR = 4.0  # factor of a barrier that does not suffice [-]
 
 
 class StepEnd(NamedTuple):

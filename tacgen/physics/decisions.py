@@ -1,4 +1,4 @@
-"""What a step of the contact decides: Python on a core, for one scene, and compiled in the kernels of batches (steps).
+"""Decisions of a step of the contact: Python on a core, for one scene, and compiled in the kernels of batches (steps).
 
 Functions of numbers by operators and `abs` alone, which both understand, so that limits are arguments.
 """
@@ -29,6 +29,13 @@ def shrinks(length: real, dhat: real, gap: real) -> bool:
     """Whether the indenter is shrunk by the mean `gap` before a step: not after one whose longest motion of a node is a
     `length` far from the solution, where it is meaningless, nor without contact, where it is nan."""
     return length <= dhat and gap == gap
+
+
+def free_part(gap: real, reach: real, way: real, tiny: real) -> real:
+    """Part of a point's way [mm] without tunnelling, from a gap to an indenter with this reach [mm]. Distance is
+    1-Lipschitz: a point that moves less than its gap cannot enter, and with half the reach in addition it cannot leave
+    on the far side. `tiny` [mm] keeps it finite; both sides of the fraction are doubled."""
+    return (gap + abs(gap) + reach) / (way + way + tiny)
 
 
 def armijo(new: real, old: real, predicted: real, rounding: real, decrease: real) -> bool:

@@ -23,7 +23,8 @@ FULL, ROUNDING, DECREASE, STALLED = (
     wp.constant(real(value))
     for value in (MAX_FULL_STEP_RESIDUAL_RATIO, MERIT_ROUNDING, ARMIJO_DECREASE, MIN_LINE_SEARCH_FRACTION)
 )
-shrinks, armijo, after_step = (wp.func(each) for each in (decisions.shrinks, decisions.armijo, decisions.after_step))
+shrinks, free_part = wp.func(decisions.shrinks), wp.func(decisions.free_part)
+armijo, after_step = wp.func(decisions.armijo), wp.func(decisions.after_step)
 
 
 @wp.func
@@ -140,8 +141,7 @@ def tried(
         for a in range(conn.shape[2]):
             node = 3 * conn[s, f, a]
             way += N[q, a] * wp.vec3d(p[s, node], p[s, node + 1], p[s, node + 2])
-        allowed = wp.max(gap[s, f, q], real(0.0)) + reach[s] / real(2.0)
-        first = wp.min(first, allowed / wp.max(wp.length(way), SMALLEST))
+        first = wp.min(first, free_part(gap[s, f, q], reach[s], wp.length(way), SMALLEST))
         k += step
     energy, linear, square, slope = summed(energy), summed(linear), summed(square), summed(slope)
     longest, before, after, first = largest(longest), summed(before), summed(after), -largest(-first)

@@ -9,7 +9,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.measures import ENERGY_ROUNDING, MIN_ENERGY_GAIN, gain, predicted_change
+from tacgen.mechanics import measures
 from tacgen.mechanics.numerics import StepEnd
 from tacgen.physics.decisions import ContactStatus
 from tacgen.tensor_engine import contact_newton
@@ -32,14 +32,9 @@ def follow(b: Batch, rows: list[int]) -> list[bool]:
 
 
 def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
-    """The facets (s, f) on which the indenter acts at x (s, n, 3); if none, those on which it acted last, or the
-    nearest."""
-    contact = b.face(s, offset)
-    gap = contact.gap(x)
-    now, last = (gap < contact.dhat[:, None, None]).any(-1), (b.t.h_N[s] > 0).any(-1)
-    nearest = gap.amin(-1) <= gap.flatten(1).amin(1, keepdim=True)
-    out = torch.where(last.any(1, keepdim=True), last, nearest)
-    return torch.where(now.any(1, keepdim=True), now, out)
+    """The facets (s, f) on which the indenter acts at x (s, n, 3), see measures.touched."""
+    gap = b.face(s, offset).gap(x)
+    return measures.touched(gap, b.dhat[s, None, None], gap.amin((1, 2))[:, None, None], b.t.h_N[s])
 
 
 def factor(b: Batch, rows: list[int]) -> list[bool]:
@@ -137,7 +132,7 @@ def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tenso
     step, which is none where it says that the reduction is stale."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
-    after, N = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
+    after, N = contact_newton.step(bulk, now, reach, b.end(s), edge, b.options.max_contact, symmetric)
     none = torch.zeros_like(now.steps)
     stale, count = (none, none) if symmetric else acted(b, sizes, s, now.contact, N, torch.ones_like(reach))
 
@@ -169,19 +164,13 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
     p = b.factors.expand(s, u, y).to(x.dtype)
     fractions = torch.stack([torch.zeros_like(part), part, torch.ones_like(part)], 1)
     before, left_energy, whole = near.merits(bulk.start, step, fractions, near.evaluate(inner)).unbind(1)
-    model = predicted_change(g, p, u, bulk.times(u) + bulk.load) + whole - before
-    rounding = step_end(b, s) * least + ENERGY_ROUNDING * energy.abs()
+    model = measures.predicted_change(g, p, u, bulk.times(u) + bulk.load) + whole - before
     fraction = part[:, None, None]
     there = x + fraction * p
     value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * step, inner)
-    lower = gain(value - energy + left_energy - before, part * model, rounding) >= MIN_ENERGY_GAIN
+    lower = measures.lowers(value - energy + left_energy - before, part * model, energy, b.end(s), least)
     left = torch.where(lower[:, None, None], left, inner)
     return lower, lambda which: t.put(s, which, stepped=there, stepped_energy=value, c_x=left)
-
-
-def step_end(b: Batch, s: Tensor) -> Tensor:
-    """Motion of a node (s,) below which a step is small [mm]."""
-    return b.options.step_tol * b.dhat[s]
 
 
 def measure(b: Batch, rows: list[int]) -> list[StepEnd]:
@@ -206,7 +195,7 @@ def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
     unbalanced = _unbalanced(b, t.nodes[s, : sizes.nodes], s, gradient, at_nodes(near, forces.force, sizes.nodes))
     residual = torch.linalg.norm(unbalanced.flatten(1), dim=1) / torch.maximum(forces.total, least)
     covered = covers(b, s, touched(b, s, there, offset))
-    end = step_end(b, s)
+    end = b.end(s)
     agrees = ~((forces.mean_gap - offset).abs() > end)
     converged, circling = status == ContactStatus.converged, status == ContactStatus.circling
     columns = residual, moved <= end, covered, converged, circling, agrees
