@@ -15,7 +15,9 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_areas, facet_points, facet_shares
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
+from tacgen.mechanics.measures import SMALLEST
 from tacgen.physics import contact as kernels
+from tacgen.physics.decisions import free_part
 from tacgen.physics.runtime import call
 
 Array = np.ndarray
@@ -147,8 +149,6 @@ class Contact:
         return float(self.gap(x).min())
 
     def max_step(self, gap: Array, p: Array) -> float:
-        """Largest part of step p (n, 3) without tunnelling, from gaps (f, q) [mm]. Distance is 1-Lipschitz: a point
-        that moves less than its gap cannot enter, and with half the indenter's reach in addition it cannot leave on the
-        far side."""
-        allowed = np.maximum(gap, 0.0) + self.shape.reach / 2
-        return float(min(1.0, (allowed / np.maximum(np.linalg.norm(self.faces.at(p), axis=2), 1e-300)).min()))
+        """Largest part of step p (n, 3) without tunnelling, from gaps (f, q) [mm]."""
+        way = np.linalg.norm(self.faces.at(p), axis=2)
+        return float(min(1.0, free_part(gap, self.shape.reach, way, SMALLEST).min()))

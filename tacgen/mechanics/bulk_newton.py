@@ -29,9 +29,14 @@ from tacgen.mechanics.numerics import Numerics, StepEnd
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import State
+from tacgen.physics.decisions import ContactStatus
 
 MIN_BULK_STEP = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
 MAX_DAMPING = 2e3  # largest damping, over the stiffness at rest [-]
+CONTACT_OUTCOMES = {
+    ContactStatus.running: Outcome.more, ContactStatus.searching: Outcome.more,
+    ContactStatus.unstable: Outcome.unstable,
+}  # fmt: skip
 log = logging.getLogger(__name__)
 
 
@@ -79,7 +84,7 @@ def load(n: Numerics, rows: list[int]) -> list[Outcome]:
 
 def contact(n: Numerics, rows: list[int]) -> list[Outcome]:
     """One step of the contact, or a part of one."""
-    return n.contact(rows)
+    return [CONTACT_OUTCOMES.get(status, Outcome.ended) for status in n.contact(rows)]
 
 
 def damp(n: Numerics, rows: list[int]) -> list[Outcome]:

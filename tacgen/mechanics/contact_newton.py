@@ -9,21 +9,27 @@ the search ends, and the bulk needs damping.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from tacgen.mechanics.condensation import Schur
 from tacgen.mechanics.coupled import ContactForces, CoupledContact
-from tacgen.mechanics.line_search import armijo, backtrack
+from tacgen.mechanics.line_search import backtrack
+from tacgen.physics.decisions import (
+    ARMIJO_DECREASE,
+    MAX_FULL_STEP_RESIDUAL_RATIO,
+    MERIT_ROUNDING,
+    MIN_COUPLED_FRACTION,
+    MIN_LINE_SEARCH_FRACTION,
+    ContactStatus,
+    after_step,
+    armijo,
+    shrinks,
+)
 
 Array = np.ndarray
-MERIT_ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
-MAX_FULL_STEP_RESIDUAL_RATIO = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
-MIN_LINE_SEARCH_FRACTION = 1e-8  # fraction of a step at which a line search has stalled [-]
 SAME_ITERATE_TOL = 0.1  # distance of two iterates, over the tolerance, up to which they are one place [-]
-MIN_COUPLED_FRACTION = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
 class EnergyPoint(Protocol):
@@ -94,16 +100,6 @@ class Quadratic:
         return p if np.isfinite(p).all() else None
 
 
-class ContactStatus(StrEnum):
-    """Whether the iteration goes on, and how it ended."""
-
-    running = "running"
-    converged = "converged"
-    stopped = "stopped"  # stalled
-    circling = "circling"  # back where it was two steps before, or out of steps
-    unstable = "unstable"  # a node reached the radius, or no step decreases the merit function
-
-
 @dataclass(frozen=True)
 class ContactIterate(Generic[P]):
     """Positions x (n, 3), the contact with its offset there, its forces, the bulk there, and the residual g (n, 3) [N];
@@ -128,8 +124,8 @@ class ContactIterate(Generic[P]):
 
     @property
     def off(self) -> float:
-        """By how much [mm] the mean gap is not the one by which the indenter is shrunk."""
-        return abs(self.forces.mean_gap - self.contact.contact.offset) if self.forces.N.any() else 0.0
+        """By how much [mm] the mean gap is not the one by which the indenter is shrunk; nan without contact."""
+        return abs(self.forces.mean_gap - self.contact.contact.offset)
 
 
 def contact_start(bulk: BulkModel[P], contact: CoupledContact, x: Array) -> ContactIterate[P]:
@@ -148,9 +144,8 @@ def contact_step(
     """
     x, contact, forces, here, g, drift = now.x, now.contact, now.forces, now.here, now.g, now.drift
     earlier, start = now.before, replace(now, before=None)
-    if now.length <= contact.contact.dhat and forces.N.any():  # far from the solution the mean gap is meaningless
-        drift = forces.mean_gap - contact.contact.offset
-        contact = contact.shrunk(forces.mean_gap)
+    if shrinks(now.length, contact.contact.dhat, gap := forces.mean_gap):
+        drift, contact = gap - contact.contact.offset, contact.shrunk(gap)
         forces = contact.evaluate(x, forces.seen)
         g = _residual(contact, here, forces)
     now = replace(now, contact=contact, forces=forces, g=g, drift=drift, status=ContactStatus.stopped)
@@ -168,15 +163,14 @@ def contact_step(
         there = x + _to_radius(x - now.start, there - x, radius) * (there - x)
         return replace(now, x=there, forces=contact.evaluate(there), status=ContactStatus.unstable)
     here, forces, g = full or _evaluated(bulk, contact, there)
-    now = replace(now, x=there, forces=forces, here=here, g=g, length=length, status=ContactStatus.running)
-    if fraction == 1.0 and length <= xtol and max(abs(drift), now.off) <= xtol:
-        return replace(now, status=ContactStatus.converged)
-    if fraction * length < MIN_LINE_SEARCH_FRACTION * xtol:
-        return replace(now, status=ContactStatus.converged if length <= xtol else ContactStatus.stopped)
+    now = replace(now, x=there, forces=forces, here=here, g=g, length=length)
+    status = after_step(fraction == 1.0, fraction, length, drift, now.off, xtol, MIN_LINE_SEARCH_FRACTION)
+    if status != ContactStatus.running:
+        return replace(now, status=ContactStatus(status))
     if earlier is not None and _far(now, earlier) <= SAME_ITERATE_TOL * xtol < length:
         lower = min(now, start, key=lambda one: float(np.linalg.norm(one.g)))
         return replace(lower, steps=now.steps, length=length, status=ContactStatus.circling)
-    return replace(now, before=start)
+    return replace(now, before=start, status=ContactStatus.running)
 
 
 def solve_contact(
@@ -235,7 +229,7 @@ def _downhill(
 
         def trial(fraction: float) -> tuple[bool, None]:
             merit = energy(fraction) + contact.merit(x + fraction * p, forces)
-            return armijo(merit, here, fraction * slope, MERIT_ROUNDING), None
+            return armijo(merit, here, fraction * slope, MERIT_ROUNDING, ARMIJO_DECREASE), None
 
         return backtrack(trial, least, contact.contact.max_step(forces.gap, p))[0]
 

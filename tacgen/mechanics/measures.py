@@ -28,13 +28,24 @@ def onset(before: Rows, ahead: Rows, gap_before: Rows, gap_ahead: Rows) -> Rows:
     return before + part[..., None] * (ahead - before)
 
 
-def dragged(anchor: Rows, x: Rows, normal: Rows, normal_force: Rows, eps: Rows) -> tuple[Rows, Rows]:
-    """Anchors (..., 3) after a load step, moved by the slip beyond eps (...,), and the length of the slip before (...,)
-    [mm]; a free point is its own anchor. All in one frame."""
+def touched(gap: Rows, dhat: Rows, least: Rows, last: Rows) -> Rows:
+    """The facets (..., f) on which the indenter acts by gaps (..., f, q), of which the smallest is `least`; if none,
+    those on which it acted with normal forces `last` (..., f, q), or the nearest."""
+    now, before = (gap < dhat).any(-1), (last > 0).any(-1)
+    free, new = ~now.any(-1)[..., None], ~before.any(-1)[..., None]
+    return now | free & (before | new & (gap <= least).any(-1))
+
+
+def dragged(anchor: Rows, x: Rows, normal: Rows, normal_force: Rows, eps: Rows, tol: Rows) -> tuple[Rows, Rows]:
+    """Anchors (..., 3) after a load step, moved by the slip beyond eps (...,), and whether points slide; a free point
+    is its own anchor. All in one frame.
+
+    The anchor of a sliding point lags by eps; the slip of one that has stopped is still eps, within the tolerance.
+    """
     u = slip(x, anchor, normal)
-    length = (u * u).sum(-1) ** 0.5
-    kept = (eps / length.clip(min=SMALLEST)).clip(max=1.0) * (normal_force > 0)
-    return x - kept[..., None] * u, length
+    length, loaded = (u * u).sum(-1) ** 0.5, normal_force > 0
+    kept = (eps / length.clip(min=SMALLEST)).clip(max=1.0) * loaded
+    return x - kept[..., None] * u, (length > eps + tol) & loaded
 
 
 def ahead(motion: Rows, before: Rows, touching: Rows) -> Rows:
@@ -63,7 +74,8 @@ def predicted_change(g: Rows, p: Rows, u: Rows, rest: Rows) -> Rows:
     return ((g * p).sum((1, 2)) + (u * rest).sum(1)) / 2
 
 
-def gain(change: Rows, predicted: Rows, rounding: Rows) -> Rows:
-    """Change of the energy over the predicted one; 1 where it is within the rounding."""
-    small = abs(change) <= rounding
-    return small + change * ~small / predicted.clip(max=-rounding)
+def lowers(change: Rows, predicted: Rows, energy: Rows, end: Rows, force: Rows) -> Rows:
+    """Whether a step lowers the energy by enough of what was predicted, or by no more than rounding: that of the
+    `energy` itself, and a `force` times the motion `end` that is small [mm]."""
+    rounding = end * force + ENERGY_ROUNDING * abs(energy)
+    return (abs(change) <= rounding) | (change / predicted.clip(max=-rounding) >= MIN_ENERGY_GAIN)

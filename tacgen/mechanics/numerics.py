@@ -15,8 +15,10 @@ from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
+from tacgen.physics.decisions import ContactStatus
 
 Array = np.ndarray
+BARRIER_STIFFENING_FACTOR = 4.0  # factor of a barrier that does not suffice [-]
 
 
 class StepEnd(NamedTuple):
@@ -114,7 +116,7 @@ class Numerics(Protocol):
     def untouch(self, rows: list[int]) -> None:
         """The contact before its first step, with `Newton.inner_damping`."""
 
-    def contact(self, rows: list[int]) -> list[Outcome]:
+    def contact(self, rows: list[int]) -> list[ContactStatus]:
         """A step of the contact, or a part of one."""
 
     def lower(self, rows: list[int], part: float) -> list[bool]:

@@ -6,34 +6,34 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.fem.potential import Total
+from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import contact_newton
+from tacgen.mechanics import contact_newton, full_newton
 from tacgen.mechanics.barrier import Contact
-from tacgen.mechanics.bulk import BulkPoint
+from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.condensation import Condensation
-from tacgen.mechanics.contact_newton import ContactIterate, ContactStatus, Quadratic, QuadraticPoint
-from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.contact_newton import ContactIterate, Quadratic, QuadraticPoint
+from tacgen.mechanics.coupled import ContactForces, CoupledContact
 from tacgen.mechanics.course import Course
-from tacgen.mechanics.failures import NotConverged
+from tacgen.mechanics.failures import NotConverged, no_equilibrium
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
-from tacgen.mechanics.load_step import Equilibrium, LoadStep
 from tacgen.mechanics.measures import (
-    ENERGY_ROUNDING,
-    MIN_ENERGY_GAIN,
     MIN_FORCE_SCALE_RATIO,
     dragged,
-    gain,
     imbalance,
+    lowers,
+    onset,
     predicted_change,
+    touched,
 )
-from tacgen.mechanics.numerics import Checked, Reached, StepEnd
+from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reached, StepEnd
 from tacgen.mechanics.phases import Outcome
+from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History
+from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside
+from tacgen.physics.decisions import ContactStatus
 
 Array = np.ndarray
-CONTACT_OUTCOMES = {ContactStatus.running: Outcome.more, ContactStatus.unstable: Outcome.unstable}
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,12 @@ class Direction(NamedTuple):
 class OneScene:
     """A scene in row 0, and the iterates of its load step in hand."""
 
-    step: LoadStep
+    placed: Contact  # at the pose of the load step, shrunk as at its start
+    bulk: Bulk
+    ahead: Array | None  # x (n, 3) by inertia; None without
+    prediction: Prediction | None
     begins: Array  # x (n, 3) where Newton's method begins
+    first: CoupledContact  # there, with its anchors
     at: BulkPoint  # the iterate
     J: tuple[Array, ...]  # there, as the last step predicted it
     coupled: CoupledContact  # there
@@ -70,7 +74,7 @@ class OneScene:
     making: Making
     direction: Direction
     there: BulkPoint  # after the part of it that was taken
-    found: Equilibrium
+    forces: ContactForces  # of the contact at the equilibrium
 
     def __init__(self, problem: Problem, course: Course) -> None:
         self._problem, self.course, self.courses = problem, course, {0: course}
@@ -87,10 +91,16 @@ class OneScene:
     def place(self, rows: list[int]) -> list[Outcome]:
         problem, course = self._problem, self.course
         history, leg = course.history, course.legs[0]
-        self.step = LoadStep.of(problem, history, Pose.of(leg.b), leg.duration)
+        contact = replace(problem.contact.moved(Pose.of(leg.b), history.offset), kappa=history.kappa)
+        inert, self.placed, self.ahead, self.prediction = list[Potential](), contact, None, None
+        if problem.body is not None:
+            assert history.velocity is not None
+            inertia = problem.body.step(history.x, history.velocity, leg.duration)
+            inert, self.ahead = [inertia], inertia.coasting
+        self.bulk = Bulk(problem.during(history, leg.duration), problem.folding, tuple(inert))
         if not self.condensed:
             return [Outcome.not_condensed]
-        tangent, contact = problem.tangent, self.step.contact
+        tangent = problem.tangent
         conn, near = contact.faces.conn, contact.gap(history.x) < contact.dhat
         touching = np.asarray((near | (history.normal_force > 0)).any(1))
         if not touching.any():
@@ -102,7 +112,7 @@ class OneScene:
         return [Outcome.ready if covered and exact else Outcome.missing]
 
     def renew(self, rows: list[int]) -> list[bool]:
-        return [self._taken(self.step.bulk.at(self.course.history.x), None)]
+        return [self._taken(self.bulk.at(self.course.history.x), None)]
 
     def _taken(self, at: BulkPoint, J: tuple[Array, ...] | None) -> bool:
         try:
@@ -112,37 +122,54 @@ class OneScene:
         return True
 
     def predict(self, rows: list[int]) -> list[bool]:
-        self.step = self.step.predicted()
-        return [self.step.prediction is not None]
+        self.prediction = predict(self.placed, self._problem.tangent, self.course.history)
+        return [self.prediction is not None]
 
     def choose(self, rows: list[int]) -> list[bool]:
-        near = self.course.near
-        if (x := self.step.start(None if near is None else near.x)) is None:
-            return [False]
-        self.step, self.begins = self.step.anchored(), x
-        return [True]
+        history, near, predicted = self.course.history, self.course.near, self.prediction
+        guess = None if predicted is None else predicted.x
+        for x in (None if near is None else near.x, guess, self.ahead, history.x):
+            if x is None or blocked(self.placed, history.pose, history.x, history.gap, x):
+                continue
+            if np.isfinite(self.bulk.at(x).energy):
+                self.begins, self.first = x, self._anchored(history.x if guess is None else guess)
+                return [True]
+        return [False]
+
+    def _anchored(self, x: Array) -> CoupledContact:
+        """With anchors in the sensor frame; that of a new point is where it first touches on the predicted path to x
+        (n, 3)."""
+        history, contact, problem = self.course.history, self.placed, self._problem
+        ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gap(x)
+        touch = onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
+        anchor = contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
+        return CoupledContact(contact, problem.friction, anchor, problem.options.slip * contact.dhat)
 
     def start(self, rows: list[int]) -> None:
-        assert self.step.coupled is not None
-        self.coupled, self.path, self.touching = self.step.coupled, (), None
+        self.coupled, self.path, self.touching = self.first, (), None
         if self.condensed:
-            self.at = self.step.bulk.at(self.begins)
+            self.at = self.bulk.at(self.begins)
             mixed = self.options.mixed_pressure
-            self.J = self.step.bulk.at(self.course.history.x).J if mixed else self.at.J
+            self.J = self.bulk.at(self.course.history.x).J if mixed else self.at.J
 
     def whole(self, row: int) -> NotConverged | None:
-        if isinstance(found := self.step.solve(self.begins), NotConverged):
-            return found
-        self.found, self.course.newton.steps = found, found.steps
+        found = full_newton.solve(self._problem, self.bulk, self.first, self.begins)
+        if not found.converged:
+            return no_equilibrium(self.bulk.least_J(found.x), found.steps)
+        self.at, self.coupled, self.course.newton.steps = found.here, found.contact, found.steps
         return None
 
     def follow(self, rows: list[int]) -> list[bool]:
         condensed, conn = self._problem.tangent.condensation, self.coupled.contact.faces.conn
         if self.touching is None:
-            self.touching = touched(self.course.history, self.coupled.contact, self.at.x)
+            self.touching = self._touched(self.at.x)
         if not condensed.covers(conn[self.touching]):
             condensed.cover(with_neighbours(conn, self.touching))
         return [self._problem.tangent.usable]
+
+    def _touched(self, x: Array) -> Array:
+        gap, dhat = self.coupled.contact.gap(x), self.coupled.contact.dhat
+        return np.asarray(touched(gap, dhat, gap.min(), self.course.history.normal_force))
 
     def factor(self, rows: list[int]) -> list[bool]:
         return [self._taken(self.at, self.J if self.options.mixed_pressure else None)]
@@ -162,14 +189,14 @@ class OneScene:
         contact = on_condensed(self._problem.tangent.condensation, self.coupled)
         self.making = Making(g, y, quadratic, contact_newton.contact_start(quadratic, contact, quadratic.start))
 
-    def contact(self, rows: list[int]) -> list[Outcome]:
+    def contact(self, rows: list[int]) -> list[ContactStatus]:
         options, made = self.options, self.making
         inner = contact_newton.contact_step(
             made.quadratic, made.inner, xtol=self._end, max_steps=options.max_contact, radius=self._problem.edge
         )
         self.making = replace(made, inner=inner)
         self.course.newton.inner_damping = made.quadratic.schur.damping  # which the step may have increased
-        return [CONTACT_OUTCOMES.get(inner.status, Outcome.ended)]
+        return [inner.status]
 
     def lower(self, rows: list[int], part: float) -> list[bool]:
         made, at, condensed = self.making, self.at, self._problem.tangent.condensation
@@ -177,12 +204,11 @@ class OneScene:
         if part == 1:
             self.direction = self._direction()
         p, predicted, before, change = self.direction
-        there, touch = self.step.bulk.at(at.x + part * p), start + part * p[condensed.nodes]
+        there, touch = self.bulk.at(at.x + part * p), start + part * p[condensed.nodes]
         if part < 1:
             change = contact.merit(touch, inner.forces) - before
-        total = np.array([there.energy - at.energy + change])
-        rounding = self._end * self.course.history.least_force + ENERGY_ROUNDING * abs(at.energy)
-        if not gain(total, np.array([part * predicted]), rounding)[0] >= MIN_ENERGY_GAIN:
+        total, least = there.energy - at.energy + change, self.course.history.least_force
+        if not lowers(total, np.float64(part * predicted), at.energy, self._end, least):
             return [False]
         if part < 1:
             self.making = replace(made, inner=replace(inner, x=touch, forces=contact.evaluate(touch)))
@@ -208,10 +234,9 @@ class OneScene:
         self.J = tangent.predicted(self.at, there) if self.options.mixed_pressure else there.J
         self.at, self.coupled = there, self.coupled.shrunk(inner.contact.contact.offset)
         self.path = (*self.path, there.x) if course.newton.inner_damping > 0 or self.path else ()
-        contact = self.coupled.contact
-        self.touching = touched(course.history, contact, there.x)
-        covered = tangent.condensation.covers(contact.faces.conn[self.touching])
-        circling, agrees = inner.status is ContactStatus.circling, inner.off <= self._end
+        self.touching = self._touched(there.x)
+        covered = tangent.condensation.covers(self.coupled.contact.faces.conn[self.touching])
+        circling, agrees = inner.status is ContactStatus.circling, not inner.off > self._end
         return [StepEnd(residual, still, covered, inner.converged, circling, agrees)]
 
     def _residual(self, there: BulkPoint) -> float:
@@ -223,43 +248,44 @@ class OneScene:
         return float(np.linalg.norm(r.ravel()[problem.pattern.free])) / force
 
     def least_J(self, row: int, start: bool) -> float:
-        return self.step.bulk.least_J(self.begins if start else self.at.x)
+        return self.bulk.least_J(self.begins if start else self.at.x)
 
     def check(self, rows: list[int]) -> list[Checked]:
-        problem, course = self._problem, self.course
-        if self.condensed:
-            self.found = Equilibrium.coupled(self.at.x, self.coupled, course.newton.steps, self.path)
-        x, forces, faces = self.found.x, self.found.forces, problem.contact.faces
+        problem, history, x, contact = self._problem, self.course.history, self.at.x, self.coupled.contact
+        self.forces = forces = self.coupled.evaluate(x)
         least_J = least_jacobian(problem.mesh.points, x, problem.mesh.cells)
-        outer = faces.scatter(-forces.force, len(x))
-        inner = Total((*self.step.bulk.elastic, *self.step.bulk.folding)).gradient(x)
+        outer = contact.faces.scatter(-forces.force, len(x))
+        inner = Total((*self.bulk.elastic, *self.bulk.folding)).gradient(x)
         held = np.ones(x.size, bool)
         held[problem.pattern.free] = False
-        force = max(float(np.linalg.norm(outer.sum(0))), course.history.least_force)
-        outer += Total(self.step.bulk.other).gradient(x)
+        force = max(float(np.linalg.norm(outer.sum(0))), history.least_force)
+        outer += Total(self.bulk.other).gradient(x)
         residual, balance = imbalance(inner[None], outer[None], held.reshape(1, -1, 3), force)
-        deep, through = self.step.penetration(self.found)
-        return [Checked(self.found.least_gap, least_J, float(residual[0]), float(balance[0]), deep, through)]
+        deep = depth_inside(contact, problem.elastic, x)
+        through = blocked_along(contact, history.pose, history.x, history.gap, (*self.path, x))
+        return [Checked(float(forces.gap.min()), least_J, float(residual[0]), float(balance[0]), deep, through)]
 
     def stiffen(self, row: int, contact: bool, folding: bool) -> None:
-        self.step, self.begins = self.step.stiffened(self.found, contact, folding), self.found.x
+        self.begins, self.first = self.at.x, self.coupled
+        if contact:
+            self.first = self.coupled.stiffened(BARRIER_STIFFENING_FACTOR)
+        if folding:
+            stiffer = (barrier.stiffened(BARRIER_STIFFENING_FACTOR) for barrier in self.bulk.folding)
+            self.bulk = replace(self.bulk, folding=tuple(stiffer))
 
     def record(self, rows: list[int]) -> list[Reached]:
-        problem, step, course = self._problem, self.step, self.course
-        history, x, forces, coupled = course.history, self.found.x, self.found.forces, self.found.contact
-        contact, N = coupled.contact, forces.N
-        moved, slipped = dragged(coupled.anchor, forces.at, forces.normal, N, coupled.eps)
-        # the anchor of a sliding point lags by eps; the slip of one that has stopped is still eps, within the tolerance
-        sliding = (slipped > coupled.eps + self._end) & (N > 0)
-        velocity = None if history.velocity is None else (x - history.x) / step.duration
-        error, predicted = (p.error(x), p.x) if (p := step.prediction) else (None, None)
+        history, x, forces, coupled = self.course.history, self.at.x, self.forces, self.coupled
+        duration, contact, N = self.course.legs[0].duration, coupled.contact, forces.N
+        moved, sliding = dragged(coupled.anchor, forces.at, forces.normal, N, coupled.eps, self._end)
+        velocity = None if history.velocity is None else (x - history.x) / duration
+        error, predicted = (p.error(x), p.x) if (p := self.prediction) else (None, None)
         return [
             Reached(
                 x, N, forces.normal, forces.normal @ contact.pose.rotation, forces.force - N[..., None] * forces.normal,
                 sliding, contact.pose.local(moved) if coupled.friction > 0 else history.anchor, forces.gap,
                 contact.offset, contact.kappa, max(history.least_force, MIN_FORCE_SCALE_RATIO * float(N.sum())),
                 forces.mean_gap if N.any() else contact.offset, velocity,
-                problem.internal(history, x, step.duration), error, predicted,
+                self._problem.internal(history, x, duration), error, predicted,
             )
         ]  # fmt: skip
 
@@ -275,16 +301,6 @@ def on_condensed(condensed: Condensation, contact: CoupledContact) -> CoupledCon
     faces = whole.faces.only(which)
     faces = replace(faces, conn=condensed.local[faces.conn])
     return replace(contact, contact=replace(whole, faces=faces), anchor=contact.anchor[which])
-
-
-def touched(history: History, contact: Contact, x: Array) -> Array:
-    """The facets (f,) on which the indenter acts; if none, those on which it acted last, or the nearest."""
-    gap = contact.gap(x)
-    now = (gap < contact.dhat).any(1)
-    if now.any():
-        return np.asarray(now)
-    last = (history.normal_force > 0).any(1)
-    return np.asarray(last if last.any() else gap.min(1) <= gap.min())
 
 
 def with_neighbours(conn: Array, which: Array) -> Array:

@@ -8,10 +8,23 @@ from typing import Any
 
 import warp as wp
 
+from tacgen.physics import decisions
+from tacgen.physics.decisions import (
+    ARMIJO_DECREASE,
+    MAX_FULL_STEP_RESIDUAL_RATIO,
+    MERIT_ROUNDING,
+    MIN_LINE_SEARCH_FRACTION,
+    ContactStatus,
+)
 from tacgen.physics.types import Flags, Ints3, Longs, Longs2, Reals, Reals2, Reals3, in_precisions, real
 
 SMALLEST = wp.constant(real(1e-300))  # so that nothing is divided by 0
-RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = (wp.constant(k) for k in range(5))  # how a scene stands
+FULL, ROUNDING, DECREASE, STALLED = (
+    wp.constant(real(value))
+    for value in (MAX_FULL_STEP_RESIDUAL_RATIO, MERIT_ROUNDING, ARMIJO_DECREASE, MIN_LINE_SEARCH_FRACTION)
+)
+shrinks, free_part = wp.func(decisions.shrinks), wp.func(decisions.free_part)
+armijo, after_step = wp.func(decisions.armijo), wp.func(decisions.after_step)
 
 
 @wp.func
@@ -27,12 +40,11 @@ def largest(part: real) -> real:
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def shrunk(length: Reals, dhat: Reals, gap: Reals, offset: Reals, drift: Reals, offsets: Reals, off: Reals):
-    """Offsets (s,) of indenters shrunk by the mean gap, and by how much it was off; far from the solution, where it is
-    meaningless, they stay."""
+    """Offsets (s,) of indenters that are shrunk by the mean gap or stay, and by how much it was off."""
     s = wp.tid()
-    near = length[s] <= dhat[s] and gap[s] >= real(0.0)
-    offsets[s] = wp.where(near, gap[s], offset[s])
-    off[s] = wp.where(near, gap[s] - offset[s], drift[s])
+    now = shrinks(length[s], dhat[s], gap[s])
+    offsets[s] = wp.where(now, gap[s], offset[s])
+    off[s] = wp.where(now, gap[s] - offset[s], drift[s])
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
@@ -104,11 +116,10 @@ def exact(b: wp.array2d(dtype=Any), product: wp.array2d(dtype=Any), limit: real,
 @wp.kernel(enable_backward=False, module="tacgen.batches")
 def tried(
     x: Reals2, start: Reals2, load: Reals2, gradient: Reals2, g: Reals2, p: Reals2, bent: Reals2, whole: Reals2,
-    exists: Flags, conn: Ints3, N: Reals2, gap: Reals3, reach: Reals, halves: Reals, ratio: real, step: int,
-    fractions: Reals2, figures: Reals2,
+    exists: Flags, conn: Ints3, N: Reals2, gap: Reals3, reach: Reals, halves: Reals, step: int, fractions: Reals2,
+    figures: Reals2,
 ):  # fmt: skip
-    """See tensor_engine.contact_newton.tried; `whole` without rows: it does not matter. ratio: the largest of residuals
-    after and before a full step."""
+    """See tensor_engine.contact_newton.tried; `whole` without rows: it does not matter."""
     s, lane = wp.tid()
     energy, linear, square, slope = real(0.0), real(0.0), real(0.0), real(0.0)
     longest, before, after, first = real(0.0), real(0.0), real(0.0), real(1.0)
@@ -130,12 +141,11 @@ def tried(
         for a in range(conn.shape[2]):
             node = 3 * conn[s, f, a]
             way += N[q, a] * wp.vec3d(p[s, node], p[s, node + 1], p[s, node + 2])
-        allowed = wp.max(gap[s, f, q], real(0.0)) + reach[s] / real(2.0)
-        first = wp.min(first, allowed / wp.max(wp.length(way), SMALLEST))
+        first = wp.min(first, free_part(gap[s, f, q], reach[s], wp.length(way), SMALLEST))
         k += step
     energy, linear, square, slope = summed(energy), summed(linear), summed(square), summed(slope)
     longest, before, after, first = largest(longest), summed(before), summed(after), -largest(-first)
-    full = exists[s] and first >= real(1.0) and whole.shape[0] > 0 and wp.sqrt(after) <= ratio * wp.sqrt(before)
+    full = exists[s] and first >= real(1.0) and whole.shape[0] > 0 and wp.sqrt(after) <= FULL * wp.sqrt(before)
     if lane == 0:
         figures[s, 0] = energy / real(2.0)
         figures[s, 1] = linear
@@ -148,18 +158,16 @@ def tried(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.batches")
-def downhill(
-    fractions: Reals2, figures: Reals2, merits: Reals2, least: real, rounding: real, decrease: real, out: Reals
-):
-    """See tensor_engine.contact_newton.downhill; rounding: error of a merit over its size; decrease: Armijo's."""
+def downhill(fractions: Reals2, figures: Reals2, merits: Reals2, least: real, out: Reals):
+    """See tensor_engine.contact_newton.downhill."""
     s = wp.tid()
     linear, square, slope = figures[s, 1], figures[s, 2], figures[s, 3]
     here, found = figures[s, 0] + merits[s, 0], real(0.0)  # the first fraction is 0
     for j in range(fractions.shape[1]):
         fraction = fractions[s, j]
         merit = figures[s, 0] + fraction * linear + fraction * fraction * square / real(2.0) + merits[s, j]
-        most = here + rounding * wp.abs(here) + decrease * fraction * wp.min(slope, real(0.0))
-        if found == real(0.0) and slope <= real(0.0) and fraction >= least and merit <= most:
+        low = slope <= real(0.0) and armijo(merit, here, fraction * slope, ROUNDING, DECREASE)
+        if found == real(0.0) and fraction >= least and low:
             found = fraction
     out[s] = wp.where(figures[s, 5] > real(0.0), real(1.0), found)
 
@@ -168,10 +176,10 @@ def downhill(
 def ended(
     x: Reals2, there: Reals2, start: Reals2, fraction: Reals, figures: Reals2, N: Reals2, gaps: Reals2, radius: Reals,
     xtol: Reals, before: Reals, offset: Reals, length: Reals, old_drift: Reals, drift: Reals, old_gap: Reals,
-    steps: Longs, most: int, symmetric: bool, least: real, step: int, out: Reals2, offsets: Reals, counted: Longs,
-    lengths: Reals, drifts: Reals, mean: Reals, status: Longs,
+    steps: Longs, most: int, symmetric: bool, step: int, out: Reals2, offsets: Reals, counted: Longs, lengths: Reals,
+    drifts: Reals, mean: Reals, status: Longs,
 ):  # fmt: skip
-    """See tensor_engine.contact_newton.ended; least: the smallest fraction of a step."""
+    """See tensor_engine.contact_newton.ended."""
     s, lane = wp.tid()
     force, weighted, farthest, part = real(0.0), real(0.0), real(0.0), real(wp.inf)
     k = int(lane)
@@ -190,26 +198,16 @@ def ended(
     gone = farthest > radius[s]
     part = wp.where(part < real(wp.inf), wp.max(part, real(0.0)), real(0.0))  # nothing moves
     longest, going, stuck = figures[s, 4], steps[s] < wp.int64(most), fraction[s] == real(0.0)
-    waits, small = going and stuck and not symmetric, longest <= xtol[s]
-    gap, off = -real(1.0), real(0.0)
-    if force > real(0.0):
-        gap = weighted / wp.max(force, SMALLEST)
-    if gap >= real(0.0):
-        off = wp.abs(gap - offset[s])
-    done = fraction[s] == real(1.0) and small and wp.max(wp.abs(drift[s]), off) <= xtol[s]
-    stalled = not done and fraction[s] * longest < least * xtol[s]
-    how = int(RUNNING)
-    if done or (stalled and small):
-        how = CONVERGED
-    elif stalled:
-        how = STOPPED
+    waits, moves, gap = going and stuck and not symmetric, going and not stuck, weighted / force
+    how = after_step(
+        fraction[s] == real(1.0), fraction[s], longest, drift[s], wp.abs(gap - offset[s]), xtol[s], STALLED
+    )
     if stuck or gone:
-        how = UNSTABLE
+        how = ContactStatus.unstable
     if not going:
-        how = STOPPED
+        how = ContactStatus.circling
     if waits:
-        how = SEARCHING
-    moves = going and not stuck
+        how = ContactStatus.searching
     if lane == 0:
         offsets[s] = wp.where(waits, before[s], offset[s])
         counted[s] = wp.where(going and not waits, steps[s] + wp.int64(1), steps[s] + wp.int64(0))

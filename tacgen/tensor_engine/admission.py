@@ -5,9 +5,8 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.load_step import BARRIER_STIFFENING_FACTOR
 from tacgen.mechanics.measures import MIN_FORCE_SCALE_RATIO, dragged, imbalance
-from tacgen.mechanics.numerics import Checked, Reached
+from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reached
 from tacgen.mechanics.state import History
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces
@@ -60,10 +59,10 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     contact, eps = b.face(s, t.offset[s]), b.eps[s][:, None, None]
     forces = contact.evaluate(t.x[s])
     N = forces.N
-    pulled, slipped = dragged(contact.anchor, forces.at, forces.normal, N, eps)
+    end = b.end(s)[:, None, None]
+    pulled, sliding = dragged(contact.anchor, forces.at, forces.normal, N, eps, end)
     rubbed = (b.friction[s] > 0)[:, None, None, None]
     anchor = torch.where(rubbed, contact.local(pulled), t.h_anchor[s])
-    sliding = (slipped > eps + b.options.step_tol * b.dhat[s][:, None, None]) & (N > 0)
     friction = forces.force - N[..., None] * forces.normal
     flat = forces.normal.flatten(1, 2) @ contact.rotation
     x, normal = t.x[s], flat.view_as(forces.normal)

@@ -308,6 +308,10 @@ class Batch:
         """Numbers of slots as an index."""
         return index_of(rows, self.X.device)
 
+    def end(self, s: Tensor) -> Tensor:
+        """Motion of a node (s,) below which a step is small [mm]."""
+        return self.options.step_tol * self.dhat[s]
+
     def barriers(self, s: Tensor) -> FoldingBarriers:
         """The barrier against inversion in scenes s, stiffened where cells came near to it."""
         return self.folding.stiffened(self.t.folds).rows(s)

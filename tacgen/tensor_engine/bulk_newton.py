@@ -9,20 +9,18 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.measures import ENERGY_ROUNDING, MIN_ENERGY_GAIN, gain, predicted_change
+from tacgen.mechanics import measures
 from tacgen.mechanics.numerics import StepEnd
-from tacgen.mechanics.phases import Outcome
+from tacgen.physics.decisions import ContactStatus
 from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, reduce, reduction
-from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
+from tacgen.tensor_engine.contact_newton import Iterates, at_nodes, shrunk
 from tacgen.tensor_engine.elements import determinant
 from tacgen.tensor_engine.indices import gathered
 from tacgen.tensor_engine.load_step import cover, covers, take
 from tacgen.tensor_engine.replay import Write
 from tacgen.tensor_engine.slot import PartOfStep
-
-STATUS_OUTCOMES = {RUNNING: Outcome.more, SEARCHING: Outcome.more, UNSTABLE: Outcome.unstable}
 
 
 def follow(b: Batch, rows: list[int]) -> list[bool]:
@@ -34,14 +32,9 @@ def follow(b: Batch, rows: list[int]) -> list[bool]:
 
 
 def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
-    """The facets (s, f) on which the indenter acts at x (s, n, 3); if none, those on which it acted last, or the
-    nearest."""
-    contact = b.face(s, offset)
-    gap = contact.gap(x)
-    now, last = (gap < contact.dhat[:, None, None]).any(-1), (b.t.h_N[s] > 0).any(-1)
-    nearest = gap.amin(-1) <= gap.flatten(1).amin(1, keepdim=True)
-    out = torch.where(last.any(1, keepdim=True), last, nearest)
-    return torch.where(now.any(1, keepdim=True), now, out)
+    """The facets (s, f) on which the indenter acts at x (s, n, 3), see measures.touched."""
+    gap = b.face(s, offset).gap(x)
+    return measures.touched(gap, b.dhat[s, None, None], gap.amin((1, 2))[:, None, None], b.t.h_N[s])
 
 
 def factor(b: Batch, rows: list[int]) -> list[bool]:
@@ -73,7 +66,8 @@ def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
     x = torch.zeros_like(t.c_x[s])  # later calls may have more nodes
     x[:, : sizes.nodes] = b.at_condensed(s, t.x, sizes.nodes)
     zero = torch.zeros_like(t.c_drift[s])
-    t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_gap=zero - 1, c_steps=zero.long())
+    none, far = zero + torch.nan, zero + torch.inf
+    t.put(s, c_x=x, c_offset=t.offset[s], c_length=far, c_drift=zero, c_gap=none, c_steps=zero.long())
 
 
 def untouch(b: Batch, rows: list[int]) -> None:
@@ -81,9 +75,9 @@ def untouch(b: Batch, rows: list[int]) -> None:
     _untouched(b, b.sizes(rows), b.slots(rows))
 
 
-def contact(b: Batch, rows: list[int]) -> list[Outcome]:
+def contact(b: Batch, rows: list[int]) -> list[ContactStatus]:
     """One step of the contact, or the next part of one."""
-    scenes, outcomes = {row: b.scenes[row] for row in rows}, dict.fromkeys(rows, Outcome.more)
+    scenes, now = {row: b.scenes[row] for row in rows}, dict.fromkeys(rows, ContactStatus.running)
     at = {part: [row for row, scene in scenes.items() if scene.part_of_step is part] for part in PartOfStep}
     if some := at[PartOfStep.REDUCE]:
         reduce(b, some)
@@ -93,11 +87,9 @@ def contact(b: Batch, rows: list[int]) -> list[Outcome]:
     if some := [row for row in ready if not ready[row]]:
         _begun(b, some)
     for some, symmetric in (([row for row in ready if ready[row]], False), (at[PartOfStep.SYMMETRIC], True)):
-        for row, status in zip(some, _stepped(b, some, symmetric) if some else (), strict=True):
-            if status is not None:
-                outcomes[row] = STATUS_OUTCOMES.get(status, Outcome.ended)
-                scenes[row].part_of_step = PartOfStep.SYMMETRIC if status == SEARCHING else PartOfStep.COUPLED
-    return list(outcomes.values())
+        if some:
+            now.update(zip(some, _stepped(b, some, symmetric), strict=True))
+    return list(now.values())
 
 
 def _begun(b: Batch, rows: list[int]) -> None:
@@ -108,15 +100,17 @@ def _begun(b: Batch, rows: list[int]) -> None:
         b.scenes[row].part_of_step, b.scenes[row].kept = PartOfStep.REDUCE, int(many)
 
 
-def _stepped(b: Batch, rows: list[int], symmetric: bool) -> list[int | None]:
-    """The contact after a coupled or a symmetric step; how each scene's stands. None: contact acts on other unknowns
-    too, so that the coupled step is none, and the bulk will be reduced again."""
-    sizes, damped, out = b.sizes(rows), damping(b, rows), list[int | None]()
+def _stepped(b: Batch, rows: list[int], symmetric: bool) -> list[ContactStatus]:
+    """The contact after a coupled or a symmetric step; how each scene's stands. Where contact acts on other unknowns
+    too, the coupled step is none, and the bulk will be reduced again."""
+    sizes, damped, out = b.sizes(rows), damping(b, rows), list[ContactStatus]()
     key, work = ("contact", sizes.nodes, sizes.kept, bool(damped), symmetric), partial(_contact, b, sizes, symmetric)
     for row, (status, stale, many) in zip(rows, b.replays(key, work, rows, *damped), strict=True):
-        out.append(None if stale else int(status))
+        scene, now = b.scenes[row], ContactStatus.running if stale else ContactStatus(int(status))
+        scene.part_of_step = PartOfStep.SYMMETRIC if now is ContactStatus.searching else PartOfStep.COUPLED
         if stale:
-            b.scenes[row].part_of_step, b.scenes[row].kept = PartOfStep.REDUCE, int(many)
+            scene.part_of_step, scene.kept = PartOfStep.REDUCE, int(many)
+        out.append(now)
     return out
 
 
@@ -138,7 +132,7 @@ def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tenso
     step, which is none where it says that the reduction is stale."""
     bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
     now, (reach, edge) = _iterates(b, sizes, s), gathered(s, b.reach, b.edge)
-    after, N = contact_newton.step(bulk, now, reach, step_end(b, s), edge, b.options.max_contact, symmetric)
+    after, N = contact_newton.step(bulk, now, reach, b.end(s), edge, b.options.max_contact, symmetric)
     none = torch.zeros_like(now.steps)
     stale, count = (none, none) if symmetric else acted(b, sizes, s, now.contact, N, torch.ones_like(reach))
 
@@ -170,19 +164,13 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
     p = b.factors.expand(s, u, y).to(x.dtype)
     fractions = torch.stack([torch.zeros_like(part), part, torch.ones_like(part)], 1)
     before, left_energy, whole = near.merits(bulk.start, step, fractions, near.evaluate(inner)).unbind(1)
-    model = predicted_change(g, p, u, bulk.times(u) + bulk.load) + whole - before
-    rounding = step_end(b, s) * least + ENERGY_ROUNDING * energy.abs()
+    model = measures.predicted_change(g, p, u, bulk.times(u) + bulk.load) + whole - before
     fraction = part[:, None, None]
     there = x + fraction * p
     value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * step, inner)
-    lower = gain(value - energy + left_energy - before, part * model, rounding) >= MIN_ENERGY_GAIN
+    lower = measures.lowers(value - energy + left_energy - before, part * model, energy, b.end(s), least)
     left = torch.where(lower[:, None, None], left, inner)
     return lower, lambda which: t.put(s, which, stepped=there, stepped_energy=value, c_x=left)
-
-
-def step_end(b: Batch, s: Tensor) -> Tensor:
-    """Motion of a node (s,) below which a step is small [mm]."""
-    return b.options.step_tol * b.dhat[s]
 
 
 def measure(b: Batch, rows: list[int]) -> list[StepEnd]:
@@ -195,8 +183,8 @@ def measure(b: Batch, rows: list[int]) -> list[StepEnd]:
 def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
     """The end of the step, and J there as the next one predicts it. Tells what StepEnd has (s, 6)."""
     t, options = b.t, b.options
-    x, there, offset, inner, status, steps, least = gathered(
-        s, t.x, t.stepped, t.c_offset, t.c_x[:, : sizes.nodes], t.c_status, t.c_steps, t.h_least
+    x, there, offset, inner, status, least = gathered(
+        s, t.x, t.stepped, t.c_offset, t.c_x[:, : sizes.nodes], t.c_status, t.h_least
     )
     moved = (there - x).abs().flatten(1).amax(1)
     J, gradient = b.gradient(s, there)
@@ -207,10 +195,10 @@ def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Write]:
     unbalanced = _unbalanced(b, t.nodes[s, : sizes.nodes], s, gradient, at_nodes(near, forces.force, sizes.nodes))
     residual = torch.linalg.norm(unbalanced.flatten(1), dim=1) / torch.maximum(forces.total, least)
     covered = covers(b, s, touched(b, s, there, offset))
-    end = step_end(b, s)
-    agrees = torch.where(forces.total > 0, (forces.mean_gap - offset).abs(), 0.0) <= end
-    converged = status == CONVERGED
-    columns = residual, moved <= end, covered, converged, ~converged & (steps >= options.max_contact), agrees
+    end = b.end(s)
+    agrees = ~((forces.mean_gap - offset).abs() > end)
+    converged, circling = status == ContactStatus.converged, status == ContactStatus.circling
+    columns = residual, moved <= end, covered, converged, circling, agrees
     (energy,) = gathered(s, t.stepped_energy)
     told = torch.stack([part.to(residual.dtype) for part in columns], 1)
     return told, lambda which: t.put(s, which, x=there, energy=energy, J=J, offset=offset)

@@ -35,8 +35,8 @@ class Forces:
 
     @property
     def mean_gap(self) -> Tensor:
-        """Force-weighted mean gap (s,) [mm]; 0 without contact."""
-        return (self.N * self.gap).sum((1, 2)) / self.total.clamp(min=1e-300)
+        """Force-weighted mean gap (s,) [mm]; nan without contact."""
+        return (self.N * self.gap).sum((1, 2)) / self.total
 
 
 @dataclass(frozen=True)

@@ -12,23 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.contact_newton import (
-    MAX_FULL_STEP_RESIDUAL_RATIO,
-    MERIT_ROUNDING,
-    MIN_COUPLED_FRACTION,
-    MIN_LINE_SEARCH_FRACTION,
-)
-from tacgen.mechanics.line_search import ARMIJO_DECREASE
 from tacgen.physics import facets, steps
+from tacgen.physics.decisions import MIN_COUPLED_FRACTION, MIN_LINE_SEARCH_FRACTION
 from tacgen.physics.runtime import lanes, launch
 from tacgen.tensor_engine.contact import Contacts, Forces
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 
-RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(
-    5
-)  # as in physics.steps; see mechanics.contact_newton.ContactStatus
 # of the first fraction of a step
 STEP_HALVINGS = np.concatenate([[0.0], 0.5 ** np.arange(int(-np.log2(MIN_LINE_SEARCH_FRACTION)) + 1)])
 LONGEST_COLUMN, FULL_STEP_COLUMN = 4, 5  # columns of figures, see `tried`
@@ -69,8 +60,8 @@ def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
 @dataclass(frozen=True)
 class Iterates:
     """Positions x (s, m, 3), contacts with their offsets there, steps so far (s,), the longest motion of a node in the
-    last step, by how much the mean gap was off before it and the mean gap after it, negative without contact [mm] (s,),
-    and how it stands (s,)."""
+    last step, by how much the mean gap was off before it and the mean gap after it, nan without contact [mm] (s,),
+    and its ContactStatus (s,)."""
 
     x: Tensor
     contact: Contacts
@@ -146,8 +137,8 @@ def tried(trial: TriedStep, contact: Contacts, gap: Tensor, reach: Tensor, least
     flat = [part if part is None else part.flatten(1) for part in (x, *others)]
     fractions, figures, step = x.new_empty(len(x), len(halves)), x.new_empty(len(x), 6), lanes(x)
     launch(
-        steps.tried, (len(x), step), *flat, exists, contact.conn, contact.N, gap, reach, halves,
-        MAX_FULL_STEP_RESIDUAL_RATIO, step, fractions, figures,
+        steps.tried, (len(x), step), *flat, exists, contact.conn, contact.N, gap, reach, halves, step, fractions,
+        figures,
     )  # fmt: skip
     return fractions, figures
 
@@ -156,7 +147,7 @@ def downhill(fractions: Tensor, figures: Tensor, merits: Tensor, least: float) -
     """The first fraction (s,) that lowers the merit function by Armijo's rule; 0 if none down to `least` does, or there
     is no step, and 1 where it halves the residual. merits (s, t): the contact's energy at the fractions."""
     out = torch.empty_like(fractions[:, 0])
-    launch(steps.downhill, out.shape, fractions, figures, merits, least, MERIT_ROUNDING, ARMIJO_DECREASE, out)
+    launch(steps.downhill, out.shape, fractions, figures, merits, least, out)
     return out
 
 
@@ -170,7 +161,7 @@ def ended(
     launch(
         steps.ended, (len(x), threads), *(part.flatten(1) for part in (x, there, start)), fraction, figures,
         felt.N.flatten(1), felt.gap.flatten(1), radius, xtol, now.contact.offset, contact.offset, now.length, now.drift,
-        drift, now.gap, now.steps, max_steps, symmetric, MIN_LINE_SEARCH_FRACTION, threads, out[0].flatten(1), *out[1:],
+        drift, now.gap, now.steps, max_steps, symmetric, threads, out[0].flatten(1), *out[1:],
     )  # fmt: skip
     x, offset, *rest = out
     return Iterates(x, contact.shrunk(offset), *rest)

@@ -37,20 +37,9 @@ class Group:
     bound: Array
 
     @property
-    def flops(self) -> float:
-        """Floating-point operations for one matrix, padding included."""
-        return len(self.fronts) * _flops(self.own.shape[1], self.bound.shape[1])
-
-    @property
     def entries(self) -> int:
         """Numbers of a matrix in the factor and the updates, padding included."""
         return len(self.fronts) * _entries(self.own.shape[1], self.bound.shape[1])
-
-    @property
-    def filled(self) -> int:
-        """As `entries`, without padding."""
-        each = zip((self.own >= 0).sum(1), (self.bound >= 0).sum(1), strict=True)
-        return sum(_entries(int(w), int(m)) for w, m in each)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.fem.elements import GAUSS_POINTS_2, trilinear
+from tacgen.fem.elements import integration
 from tacgen.fem.potential import Projection
 from tacgen.physics import elements, tangents
 from tacgen.physics.cells import around
@@ -21,9 +21,7 @@ from tacgen.tensor_engine.laws import Laws
 
 Array = np.ndarray
 # N (q, 8) and dN (q, 8, 3) at the integration points
-HEX_SHAPE_VALUES, HEX_SHAPE_GRADIENTS = trilinear(
-    np.array([[a, b, c] for c in GAUSS_POINTS_2 for b in GAUSS_POINTS_2 for a in GAUSS_POINTS_2])
-)
+HEX_SHAPE_VALUES, HEX_SHAPE_GRADIENTS, _ = integration(8)
 
 
 def cofactor(F: Tensor) -> Tensor:
@@ -85,7 +83,9 @@ class Hexes:
     @classmethod
     def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Laws) -> "Hexes":
         """With nodes X (s, n, 3) at rest; exists (s, e) bool."""
-        B, volume = mapped(X[:, topology.conn], HEX_SHAPE_GRADIENTS)
+        dX = jacobians(X[:, topology.conn], HEX_SHAPE_GRADIENTS)
+        volume, local = determinant(dX), constant(HEX_SHAPE_GRADIENTS, X)
+        B = torch.einsum("qaj,...qIj->...qaI", local, cofactor(dX) / volume[..., None, None])
         return cls(topology, B.contiguous(), volume * exists[..., None], laws)
 
     def rows(self, slots: Tensor) -> "Hexes":
@@ -182,9 +182,6 @@ def kernels_of(dtype: torch.dtype) -> tangents.Tangents:
     return tangents.double() if dtype is torch.float64 else tangents.single()
 
 
-def mapped(corners: Tensor, dN: Array) -> tuple[Tensor, Tensor]:
-    """dN/dX (..., q, 8, 3) and det(dX/dxi) (..., q) of hexes with corners (..., 8, 3); dN (q, 8, 3), a constant."""
-    local = constant(dN, corners)
-    jacobian = torch.einsum("qaj,...ai->...qij", local, corners)
-    volume = determinant(jacobian)
-    return torch.einsum("qaj,...qIj->...qaI", local, cofactor(jacobian) / volume[..., None, None]), volume
+def jacobians(corners: Tensor, dN: Array) -> Tensor:
+    """dX/dxi (..., q, 3, 3) of hexes with corners (..., 8, 3), where they have the derivatives dN (q, 8, 3)."""
+    return torch.einsum("qaj,...ai->...qij", constant(dN, corners), corners)

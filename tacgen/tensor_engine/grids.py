@@ -87,35 +87,6 @@ class Place:
     points: Array
 
 
-@dataclass(frozen=True)
-class Embedded(Place):
-    """A scene's mesh within a pattern, with void nodes beside the gel; whether each cell (e,) exists, and its layer
-    (e,), 0 if void."""
-
-    pattern: GridPattern
-    exists: Array
-    layer: Array
-
-    @property
-    def used(self) -> Array:
-        """Whether each node (n,) of the pattern belongs to the mesh."""
-        out = np.zeros(self.pattern.size, bool)
-        out[self.nodes] = True
-        return out
-
-
-def embedded(scene: Scene, pattern: GridPattern | None = None) -> Embedded | None:
-    """The scene's mesh, as `mesh.of` makes it, in this pattern or in the smallest that holds it.
-
-    None: the mesh is no tensor grid, or larger than all patterns. Raises ValueError: it is larger than the one given.
-    """
-    if scene.element != "hex":
-        return None
-    axes = axes_of(scene)
-    pattern = pattern or smallest(axes)
-    return None if pattern is None else placed(axes, scene, pattern)
-
-
 def axes_of(scene: Scene) -> mesh.Axes:
     """The grid of the scene's mesh."""
     return mesh.axes(scene.gel, mesh.footprint(scene), scene.edge)
@@ -127,7 +98,7 @@ def smallest(axes: mesh.Axes) -> GridPattern | None:
     return None if x is None or y is None else GridPattern((x, y, len(axes.z) - 1))
 
 
-def placed(axes: mesh.Axes, scene: Scene, pattern: GridPattern) -> Embedded:
+def placed(axes: mesh.Axes, scene: Scene, pattern: GridPattern) -> Place:
     """The scene's mesh, on these axes, in a pattern. Raises ValueError: the pattern does not hold it."""
     ox = _first(len(axes.x) - 1, axes.fine_x, pattern.cells[0])
     oy = _first(len(axes.y) - 1, axes.fine_y, pattern.cells[1])
@@ -137,9 +108,8 @@ def placed(axes: mesh.Axes, scene: Scene, pattern: GridPattern) -> Embedded:
     exists = np.zeros(pattern.cells, bool)
     exists[ox : ox + len(axes.x) - 1, oy : oy + len(axes.y) - 1] = axes.inside(scene.gel)[:, :, None]
     cells = np.flatnonzero(exists.ravel())
-    layer, points = np.where(exists, axes.layer, 0).ravel(), replace(axes, x=x, y=y).points(scene.gel)
     nodes, facets = np.unique(pattern.hexes[cells]), np.flatnonzero(exists[:, :, -1])
-    return Embedded(nodes, cells, facets, points, pattern, exists.ravel(), layer)
+    return Place(nodes, cells, facets, replace(axes, x=x, y=y).points(scene.gel))
 
 
 def time_of(pattern: GridPattern, scenes: float) -> float:

@@ -17,7 +17,7 @@ from tacgen.fem.potential import Projection
 from tacgen.physics import elements, jacobian
 from tacgen.physics.laws import INVERSION_BARRIER_J0
 from tacgen.physics.runtime import launch, room
-from tacgen.tensor_engine.elements import Topology, kernels_of, slot_numbers
+from tacgen.tensor_engine.elements import Topology, determinant, jacobians, kernels_of, slot_numbers
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.replay import rare, recording
 from tacgen.tensor_engine.replay import room as recorded_room
@@ -68,7 +68,7 @@ class FoldingBarriers:
     @classmethod
     def on(cls, topology: Topology, X: Tensor, volume: Tensor, mu: Tensor) -> "FoldingBarriers":
         """With nodes X (s, n, 3) at rest, volumes (s, e) [mm^3] and shear moduli [MPa] of cells."""
-        rest = _determinants(X[:, topology.conn]).contiguous()
+        rest = determinant(jacobians(X[:, topology.conn], INVERSION_POINT_GRADIENTS)).contiguous()
         return cls(
             topology, rest, rest.amax(-1), INVERSION_BARRIER_STIFFNESS * mu * volume / len(INVERSION_POINT_GRADIENTS)
         )
@@ -130,12 +130,6 @@ class FoldingBarriers:
         )  # fmt: skip
         stiffness = self.stiffness if self.slots is None else self.stiffness[self.slots]
         return torch.where(stiffness > 0, low, torch.inf)
-
-
-def _determinants(corners: Tensor) -> Tensor:
-    """det(dx/dxi) (s, e, q) at the dense points of hexes with corners (s, e, 8, 3)."""
-    a, b, c = torch.einsum("qaj,seai->jseqi", constant(INVERSION_POINT_GRADIENTS, corners), corners).unbind(0)
-    return (a * torch.linalg.cross(b, c)).sum(-1)
 
 
 def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol: float = 0.01) -> Tensor:

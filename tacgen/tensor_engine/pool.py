@@ -19,7 +19,7 @@ from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import ManyScenes, Solved
-from tacgen.tensor_engine.grids import Embedded
+from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.multifrontal import Multifrontal
 from tacgen.tensor_engine.planning import Planned, pools
 from tacgen.tensor_engine.slot import PartOfStep
@@ -52,7 +52,7 @@ class PreparedScene:
     number: int
     scene: Scene
     problem: Problem
-    grid: Embedded
+    grid: Place
 
     @classmethod
     def of(cls, plan: Planned) -> "PreparedScene":

@@ -117,7 +117,8 @@ def test_smoothed_coulomb_law() -> None:
 def test_anchors_are_dragged_along_only_by_what_exceeds_eps() -> None:
     normal, anchor = np.broadcast_to([0.0, 0, 1], (1, 3, 3)), np.zeros((1, 3, 3))
     x = np.array([[[0.05, 0, 0.3], [3.0, 4.0, 0.3], [3.0, 4.0, 0.3]]])
-    new = dragged(anchor, x, normal, np.array([[1.0, 1.0, 0.0]]), 0.1)[0]
+    new, sliding = dragged(anchor, x, normal, np.array([[1.0, 1.0, 0.0]]), 0.1, 0.01)
+    assert sliding.tolist() == [[False, True, False]]
     assert (x - new)[0, 0, :2] == pytest.approx([0.05, 0])  # sticks: its anchor stays
     assert (x - new)[0, 1, :2] == pytest.approx([0.06, 0.08])  # slips: eps behind, in the direction of the slip
     assert new[0, 2] == pytest.approx(x[0, 2])  # free: carries its own

@@ -14,6 +14,7 @@ from tacgen.mechanics.condensation import Schur
 from tacgen.mechanics.contact_newton import ContactIterate, ContactStatus, Quadratic, QuadraticPoint, solve_contact
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.measures import slip
+from tacgen.physics.decisions import MIN_LINE_SEARCH_FRACTION, after_step, shrinks
 
 Array = np.ndarray
 DHAT, EPS, FRICTION, XTOL = 0.05, 0.05 / 8, 0.5, 1e-5
@@ -135,6 +136,30 @@ def test_it_ends_where_it_goes_to_and_fro_over_an_edge(monkeypatch: pytest.Monke
     assert max(size) > 2 * min(size)
     assert np.linalg.norm(found.g) < max(size) / 2
     assert found.x == pytest.approx((even, odd)[int(size[1] < size[0])].x, abs=XTOL)
+
+
+@pytest.mark.parametrize(
+    ("part", "length", "drift", "off", "wanted"),
+    [
+        (1.0, 1e-6, 0.0, np.nan, ContactStatus.converged),  # without contact
+        (1.0, 1e-6, -9e-6, 9e-6, ContactStatus.converged),
+        (1.0, 1e-6, -2e-5, 0.0, ContactStatus.running),
+        (1.0, 1e-6, 0.0, 2e-5, ContactStatus.running),
+        (1.0, 1e-4, 0.0, 0.0, ContactStatus.running),
+        (0.5, 1e-6, 0.0, 0.0, ContactStatus.running),
+        (1e-9, 1e-6, 0.0, 0.0, ContactStatus.converged),
+        (1e-11, 1e-3, 0.0, 0.0, ContactStatus.stopped),
+    ],
+)
+def test_how_it_stands_after_a_step(
+    part: float, length: float, drift: float, off: float, wanted: ContactStatus
+) -> None:
+    assert after_step(part == 1, part, length, drift, off, XTOL, MIN_LINE_SEARCH_FRACTION) is wanted
+
+
+def test_the_indenter_is_shrunk_by_the_mean_gap_of_a_contact_near_the_solution() -> None:
+    assert [shrinks(length, DHAT, gap) for length, gap in ((DHAT, 0.01), (DHAT, -0.01), (2 * DHAT, 0.01))] == [1, 1, 0]
+    assert not shrinks(0.0, DHAT, np.nan)
 
 
 def test_it_goes_on_from_the_same_place_with_another_mean_gap() -> None:

@@ -19,7 +19,6 @@ from tacgen.mechanics import (
     Problem,
     SolverOptions,
     admission,
-    load_step,
     load_stepping,
     mesh,
     one_scene,
@@ -108,7 +107,7 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
     mended = next(states(s, soft))
     assert mended.min_gap > 0
     assert force(mended)[2] == pytest.approx(usual, rel=0.05)
-    monkeypatch.setattr(load_step, "BARRIER_STIFFENING_FACTOR", 1.0)
+    monkeypatch.setattr(one_scene, "BARRIER_STIFFENING_FACTOR", 1.0)
     with pytest.raises(NotConverged, match="smallest gap -"):
         next(states(s, soft))
 

@@ -41,7 +41,9 @@ def test_a_point_touches_where_its_way_meets_the_surface() -> None:
 
 def test_a_change_within_rounding_is_all_that_was_predicted() -> None:
     change, predicted = np.array([1e-9, -0.5, 0.5, -0.5]), np.array([-1.0, -1.0, -1.0, 3.0])
-    assert measures.gain(change, predicted, 1e-8) == pytest.approx([1.0, 0.5, -0.5, 0.5e8])
+    assert measures.lowers(change, predicted, 1e3, 1e-6, 1e-3).tolist() == [True, True, False, True]
+    enough = -measures.MIN_ENERGY_GAIN * np.array([2.0, 0.5])
+    assert measures.lowers(enough, predicted[:2], 0.0, 0.0, 0.0).tolist() == [True, False]
 
 
 def arguments(name: str) -> tuple[Any, ...]:
@@ -52,15 +54,19 @@ def arguments(name: str) -> tuple[Any, ...]:
     return {
         "slip": (points, points[::-1].copy(), unit),
         "onset": (points, points[::-1].copy(), numbers, numbers[::-1].copy()),
-        "dragged": (points, points[::-1].copy(), unit, numbers, np.full((2, 1, 1), 0.3)),
+        "dragged": (points, points[::-1].copy(), unit, numbers, np.full((2, 1, 1), 0.3), np.full((2, 1, 1), 0.2)),
+        "touched": (numbers, np.full((2, 1, 1), -0.5), numbers.min((1, 2), keepdims=True), some),
         "ahead": (points, points + 0.1 * unit, some),
         "imbalance": (nodes, nodes[::-1].copy(), held, np.array([2.0, 3.0])),
         "predicted_change": (nodes, 2 * nodes, nodes[:, 0], nodes[:, 1]),
-        "gain": (numbers[:, 0, 0], numbers[:, 0, 1], np.full(2, 0.1)),
+        "lowers": (numbers[:, 0, 0], numbers[:, 0, 1], numbers[:, 0, 2], np.full(2, 0.1), np.full(2, 0.5)),
     }[name]
 
 
-@pytest.mark.parametrize("name", ["slip", "onset", "dragged", "ahead", "imbalance", "predicted_change", "gain"])
+NAMES = ("slip", "onset", "touched", "dragged", "ahead", "imbalance", "predicted_change", "lowers")
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_pytorchs_arrays_have_numpys_answers(name: str) -> None:
     torch, formula, given = needs("torch"), getattr(measures, name), arguments(name)
     one, other = formula(*given), formula(*map(torch.as_tensor, given))

@@ -79,8 +79,8 @@ RUNS: dict[str, tuple[tuple[Any, ...], str, object]] = {  # press and options; w
     "out of effort": ((BALL, replace(USUAL, max_effort=1), 0.3), "", None),
     "out of balance": ((BALL, replace(USUAL, residual_max=1e-300, halvings=0), 0.3), "", None),
     "no damping": ((BOX, replace(AT_ONCE, halvings=0), 0.9, 1.2), "bulk_newton.MAX_DAMPING", -1.0),
-    "no step lowers the energy": ((BALL, replace(USUAL, halvings=0), 0.3), "one_scene.MIN_ENERGY_GAIN", 1e9),
-    "too far": ((BALL, USUAL, 0.3), "load_step.blocked", lambda *_: True),
+    "no step lowers the energy": ((BALL, replace(USUAL, halvings=0), 0.3), "measures.MIN_ENERGY_GAIN", 1e9),
+    "too far": ((BALL, USUAL, 0.3), "one_scene.blocked", lambda *_: True),
     "no tangent": ((BALL, replace(USUAL, halvings=0), 0.3), "bulk.Tangent.take", indefinite),
 }
 

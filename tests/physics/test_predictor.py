@@ -68,7 +68,7 @@ def predicted(problem: Problem, history: History, pose: Pose) -> Prediction | No
     matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
     scene = OneScene(problem, Course(0, history, (Leg(matrix, matrix, np.zeros(3), 0.0),)))
     go_on(scene, until=Phase.start)
-    return scene.step.prediction
+    return scene.prediction
 
 
 def test_points_in_contact_go_along_and_all_else_follows(pressed: tuple[Problem, History, Run]) -> None:

@@ -12,10 +12,10 @@ from tacgen.geometry.pose import about
 from tacgen.mechanics import DEFAULT_OPTIONS, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.phases import FINAL_PHASES, Phase
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import engine
+from tacgen.tensor_engine import engine, grids
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import ManyScenes, Solved
-from tacgen.tensor_engine.grids import Place
+from tacgen.tensor_engine.grids import GridPattern, Place
 from tensor_engine.dense import Dense
 
 Array = np.ndarray
@@ -40,6 +40,14 @@ def path(*positions: tuple[float, float, float], turns: Sequence[tuple[float, fl
 def problem(made: Scene, options: SolverOptions = DEFAULT_OPTIONS) -> Problem:
     """All have 6 x 6 cells, of which 3 x 3 or 4 x 4 are fine."""
     return Problem.of(made, mesh.build(made.gel, (-1.5, 1.5, -1.5, 1.5), EDGE), options)
+
+
+def embedded(made: Scene, pattern: GridPattern | None = None) -> tuple[GridPattern, Place]:
+    """The scene's mesh in this pattern, or in the smallest."""
+    axes = grids.axes_of(made)
+    held = pattern or grids.smallest(axes)
+    assert held is not None
+    return held, grids.placed(axes, made, held)
 
 
 def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT_OPTIONS) -> ManyScenes:

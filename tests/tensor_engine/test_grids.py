@@ -11,38 +11,37 @@ from benchmarks.gpu import scene_of
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import mesh
 from tacgen.tensor_engine import grids
-from tacgen.tensor_engine.dissection import dissected
+from tacgen.tensor_engine.dissection import _entries, dissected
 from tacgen.tensor_engine.grids import GridPattern
+from tacgen.tensor_engine.planning import Planned
+from tensor_engine.batches import embedded
 
 
 @pytest.mark.parametrize("index", [0, 2, 5, 10])  # DIGIT's outline has an arc
 def test_an_embedded_mesh_is_the_scenes_own(index):
     scene = scene_of(index, "draft")
-    own, found = mesh.of(scene), grids.embedded(scene)
-    assert found is not None
+    own, (pattern, found) = mesh.of(scene), embedded(scene)
     assert (found.points[found.nodes] == own.points).all()
-    renamed = np.full(found.pattern.size, -1)
+    renamed = np.full(pattern.size, -1)
     renamed[found.nodes] = np.arange(len(found.nodes))
-    assert (renamed[found.pattern.hexes[found.cells]] == own.cells).all()
-    assert (found.layer[found.cells] == own.layer).all()
-    assert found.exists.sum() == len(own.cells)
-    assert (renamed[found.pattern.facets[found.facets]] == own.facets["coated"]).all()
+    assert (renamed[pattern.hexes[found.cells]] == own.cells).all()
+    assert (renamed[pattern.facets[found.facets]] == own.facets["coated"]).all()
 
 
 def test_contact_stays_on_the_patch():
     scene = scene_of(10, "draft")
-    found, (x0, x1, y0, y1) = grids.embedded(scene), mesh.footprint(scene)
-    x, y, z = found.points[found.used].T
-    near = found.used.nonzero()[0][(x > x0 - 1e-9) & (x < x1 + 1e-9) & (y > y0 - 1e-9) & (y < y1 + 1e-9) & (z == 0)]
+    (pattern, found), (x0, x1, y0, y1) = embedded(scene), mesh.footprint(scene)
+    x, y, z = found.points[found.nodes].T
+    near = found.nodes[(x > x0 - 1e-9) & (x < x1 + 1e-9) & (y > y0 - 1e-9) & (y < y1 + 1e-9) & (z == 0)]
     assert near.size
-    assert np.isin(near, found.pattern.patch).all()
+    assert np.isin(near, pattern.patch).all()
 
 
 def test_void_cells_are_boxes_too():
-    found = grids.embedded(scene_of(0, "draft"))
-    corner, *others = found.points[found.pattern.hexes[:, [0, 1, 3, 4]]].transpose(1, 0, 2)
+    pattern, found = embedded(scene_of(0, "draft"))
+    corner, *others = found.points[pattern.hexes[:, [0, 1, 3, 4]]].transpose(1, 0, 2)
     volume = np.linalg.det(np.stack([other - corner for other in others], 1))
-    assert (~found.exists).any()
+    assert len(found.cells) < len(volume)
     assert (volume > 0).all()
 
 
@@ -52,26 +51,25 @@ def test_scenes_of_unlike_sizes_share_a_pattern():
     scenes = [
         presses.scene(SphereSdf(r), presses.poses(p), pad=pad) for r, p in zip((1.6, 2.0, 1.8), paths, strict=True)
     ]
-    found = [grids.embedded(scene) for scene in scenes]
-    assert len({each.pattern for each in found}) == 1
-    assert len({int(each.exists.sum()) for each in found}) > 1
+    patterns, places = zip(*map(embedded, scenes), strict=True)
+    assert len(set(patterns)) == 1
+    assert len({len(each.cells) for each in places}) > 1
 
 
 def test_a_contact_larger_than_all_patterns_has_none():
     scene = presses.scene(
         SphereSdf(2.0), presses.poses([(-20.0, 0, -0.4), (20.0, 0, -0.4)]), pad=presses.gel(60.0, 12.0)
     )
-    assert grids.embedded(scene) is None
+    assert Planned.of((0, scene)).pattern is None
 
 
 def test_a_mesh_lies_in_larger_patterns_too():
     scene = scene_of(0, "draft")
     own, larger = mesh.of(scene), GridPattern((26, 30, 5))
-    found = grids.embedded(scene, larger)
-    assert found.pattern == larger
+    _, found = embedded(scene, larger)
     assert (found.points[found.nodes] == own.points).all()
     with pytest.raises(ValueError, match="too small"):
-        grids.embedded(scene, GridPattern((14, 14, 5)))
+        embedded(scene, GridPattern((14, 14, 5)))
 
 
 def test_patterns_are_shared_where_that_saves_time(monkeypatch):
@@ -111,5 +109,8 @@ def test_every_free_node_is_eliminated_once_and_acts_on_later_ones(quartered, gr
 def test_two_batches_a_level_save_padding():
     pattern = GridPattern((18, 18, 5))
     one, two = (dissected(pattern, most_groups=most).groups for most in (1, 2))
-    assert sum(group.filled for group in two) == sum(group.filled for group in one)
+    filled = [sum(_entries(*map(int, wide)) for group in groups
+                  for wide in zip((group.own >= 0).sum(1), (group.bound >= 0).sum(1), strict=True))
+              for groups in (one, two)]  # fmt: skip
+    assert filled[0] == filled[1]
     assert sum(group.entries for group in two) < 0.8 * sum(group.entries for group in one)

@@ -11,10 +11,11 @@ from helpers import presses
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.linear_solvers import best
-from tacgen.tensor_engine import dense, grids
+from tacgen.tensor_engine import dense
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
+from tensor_engine.batches import embedded
 
 torch.set_num_threads(1)
 
@@ -53,19 +54,20 @@ def factors(solver, data):
     return solve, S, bad
 
 
-def elements_of(grid, pattern, data):
-    """Element tangents (e, 24, 24) whose sum is the matrix of `data`, the entries of the mesh's pattern: each block of
-    two nodes is given wholly to the first element that has both."""
+def elements_of(whole, nodes, pattern, data):
+    """Element tangents (e, 24, 24) of a whole pattern whose sum is the matrix of `data`, the entries of the mesh's
+    pattern, whose nodes have other numbers there: each block of two nodes is given wholly to the first element that has
+    both."""
     n = pattern.nodes
     i, j, slots = pattern.pairs // n, pattern.pairs % n, pattern.blocks
     upper = np.where(slots >= 0, data[slots], 0.0)
     turned = upper[np.searchsorted(pattern.pairs, j * n + i)].transpose(0, 2, 1)
     both = np.where((slots >= 0) & (i == j)[:, None, None], 0.0, turned) + upper
-    hexes = grid.pattern.hexes
+    hexes = whole.hexes
     row, column = np.repeat(hexes, 8, axis=1).ravel(), np.tile(hexes, 8).ravel()
-    keys, first = np.unique(row * grid.pattern.size + column, return_index=True)
+    keys, first = np.unique(row * whole.size + column, return_index=True)
     out = np.zeros((row.size, 3, 3))
-    out[first[np.searchsorted(keys, grid.nodes[i] * grid.pattern.size + grid.nodes[j])]] = both
+    out[first[np.searchsorted(keys, nodes[i] * whole.size + nodes[j])]] = both
     return out.reshape(len(hexes), 8, 8, 3, 3).transpose(0, 1, 3, 2, 4).reshape(len(hexes), 24, 24)
 
 
@@ -115,28 +117,29 @@ def pressed():
     made = presses.scene(
         SphereSdf(2.0), presses.poses([(0.3, 0.1, -0.6)]), pad=presses.gel(7.0, 6.0, 2.0, nu=0.499), edge=0.7
     )
-    grid = grids.embedded(made)
+    whole, place = embedded(made)
     found = presses.run(made)
     problem, x = found.problem, found.states[-1].x
     bulk = Bulk(problem.elastic, problem.folding, ())
     data = bulk.at(x).stiffness(problem.pattern)
-    return grid, problem.pattern, data
+    return whole, place.nodes, problem.pattern, data
 
 
 def test_single_precision_is_refined_to_double_on_the_tangent_of_a_pressed_gel(pressed):
-    grid, pattern, data = pressed
-    solver = Multifrontal(dissected(grid.pattern))
-    elements = torch.as_tensor(elements_of(grid, pattern, data))[None]
+    whole, nodes, pattern, data = pressed
+    solver = Multifrontal(dissected(whole))
+    elements = torch.as_tensor(elements_of(whole, nodes, pattern, data))[None]
     solve, S, bad = factors(solver, solver.assembled(elements))
     assert S.dtype == torch.float32
     assert not bad.any()
     b = np.random.default_rng(0).normal(size=len(pattern.free))
-    right = torch.zeros(3 * grid.pattern.size, dtype=torch.float64)
-    dofs = 3 * grid.nodes[pattern.free // 3] + pattern.free % 3
+    right = torch.zeros(3 * whole.size, dtype=torch.float64)
+    dofs = 3 * nodes[pattern.free // 3] + pattern.free % 3
     right[dofs] = torch.as_tensor(b)
     right = right.view(1, -1, 3)
 
-    hexes, free = torch.as_tensor(grid.pattern.hexes), torch.as_tensor(grid.pattern.free & grid.used)[:, None]
+    used = whole.free & np.isin(np.arange(whole.size), nodes)
+    hexes, free = torch.as_tensor(whole.hexes), torch.as_tensor(used)[:, None]
 
     direct = best(pattern)
     direct.factor(data)
