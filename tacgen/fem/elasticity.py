@@ -17,6 +17,7 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements
 from tacgen.fem.materials import Law
 from tacgen.fem.potential import Projection
+from tacgen.physics.laws import two_invariants
 
 Array = np.ndarray
 
@@ -98,7 +99,7 @@ class Elastic:
     def add_tangent(self, at: Point, data: Array, projection: Projection, J: Array | None = None) -> None:
         """Add d2E/dx2 to the entries of the Pattern; if J (e, q) is given, with the pressure at that J."""
         assert self.slots is not None
-        two = bool(self.law.coefficients[[1, 8]].any())
+        two = two_invariants(self.law.coefficients)
         self.elements.cells.add_tangent(at.F, *self._law, J, two, int(projection), self.slots, data)
 
     def value(self, x: Array) -> float:

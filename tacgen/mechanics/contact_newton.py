@@ -130,8 +130,8 @@ class ContactIterate(Generic[P]):
 
 def contact_start(bulk: BulkModel[P], contact: CoupledContact, x: Array) -> ContactIterate[P]:
     """The iterate before the first step."""
-    here, forces = bulk.at(x), contact.evaluate(x)
-    return ContactIterate(x, contact, forces, here, _residual(contact, here, forces), x)
+    here, forces, g = _evaluated(bulk, contact, x)
+    return ContactIterate(x, contact, forces, here, g, x)
 
 
 def contact_step(

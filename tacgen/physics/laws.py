@@ -11,6 +11,8 @@ See fem.materials for their names and sources. W is 0 at rest. A law of another 
 last of its coefficients, by which `isochoric` and `volumetric` branch.
 """
 
+from typing import Any
+
 import warp as wp
 
 from tacgen.physics.types import real
@@ -22,6 +24,11 @@ TWENTY_EIGHT_NINTHS = wp.constant(real(28 / 9))
 # J below which the barrier against inversion acts; without inversion J stays near 1 in a nearly incompressible gel [-]
 INVERSION_BARRIER_J0 = 0.6
 J0 = wp.constant(real(INVERSION_BARRIER_J0))
+
+
+def two_invariants(laws: Any) -> bool:
+    """Whether one of the laws (..., 9) of an array of NumPy or PyTorch depends on I2."""
+    return bool((laws[..., [1, 8]] != 0).any())
 
 
 @wp.struct

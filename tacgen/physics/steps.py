@@ -19,10 +19,8 @@ from tacgen.physics.decisions import (
 from tacgen.physics.types import Flags, Ints3, Longs, Longs2, Reals, Reals2, Reals3, in_precisions, real
 
 SMALLEST = wp.constant(real(1e-300))  # so that nothing is divided by 0
-FULL, ROUNDING, DECREASE, STALLED = (
-    wp.constant(real(value))
-    for value in (MAX_FULL_STEP_RESIDUAL_RATIO, MERIT_ROUNDING, ARMIJO_DECREASE, MIN_LINE_SEARCH_FRACTION)
-)
+FULL, ROUNDING = wp.constant(real(MAX_FULL_STEP_RESIDUAL_RATIO)), wp.constant(real(MERIT_ROUNDING))
+DECREASE, STALLED = wp.constant(real(ARMIJO_DECREASE)), wp.constant(real(MIN_LINE_SEARCH_FRACTION))
 shrinks, free_part = wp.func(decisions.shrinks), wp.func(decisions.free_part)
 armijo, after_step = wp.func(decisions.armijo), wp.func(decisions.after_step)
 

@@ -17,7 +17,7 @@ from tacgen.tensor_engine.load_step import blocked
 
 def check(b: Batch, rows: list[int]) -> list[Checked]:
     """The figures of equilibria."""
-    told = b.replays(("admit", b.hexes.laws.two_invariants), partial(_figures, b), rows)
+    told = b.replays(("admit", b.hexes.two_invariants), partial(_figures, b), rows)
     return [Checked._make([*figures, bool(through)]) for *figures, through in told]
 
 

@@ -23,7 +23,6 @@ from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import gathered, index_of, put
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
-from tacgen.tensor_engine.laws import Laws
 from tacgen.tensor_engine.reduction import PADDING_PLACE
 from tacgen.tensor_engine.replay import Replays
 from tacgen.tensor_engine.shapes import Shapes
@@ -180,7 +179,7 @@ class Batch:
             moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
         nodes = number([place.points for place in places])
         there = torch.as_tensor(exists, device=device)
-        hexes = Hexes.on(topology, nodes, there, Laws.of(number(table)))
+        hexes = Hexes.on(topology, nodes, there, number(table))
         folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))
         used, free = torch.zeros(nodes.shape[:2], dtype=torch.bool), torch.ones(topology.nodes, dtype=torch.bool)
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):

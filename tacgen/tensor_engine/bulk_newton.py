@@ -45,7 +45,7 @@ def factor(b: Batch, rows: list[int]) -> list[bool]:
 def load(b: Batch, rows: list[int]) -> None:
     """The unbalanced forces, condensed, and the contact before its first step."""
     sizes = b.sizes(rows)
-    b.replays(("load", sizes.nodes, b.hexes.laws.two_invariants), partial(_load, b, sizes), rows)
+    b.replays(("load", sizes.nodes, b.hexes.two_invariants), partial(_load, b, sizes), rows)
 
 
 def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[None, None]:
@@ -149,7 +149,7 @@ def _contact(b: Batch, sizes: Sizes, symmetric: bool, s: Tensor, *damping: Tenso
 def lower(b: Batch, rows: list[int], part: float) -> list[bool]:
     """Take a part of the step of all nodes where it lowers the energy, normal forces frozen; where it does."""
     sizes, damped = b.sizes(rows), damping(b, rows)
-    key, work = ("search", sizes.nodes, bool(damped), b.hexes.laws.two_invariants), partial(_search, b, sizes)
+    key, work = ("search", sizes.nodes, bool(damped), b.hexes.two_invariants), partial(_search, b, sizes)
     return [bool(fine) for fine in b.replays(key, work, rows, [part] * len(rows), *damped)]
 
 
@@ -176,7 +176,7 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
 def measure(b: Batch, rows: list[int]) -> list[StepEnd]:
     """The end of the step that was taken, which is the next iterate."""
     sizes = b.sizes(rows)
-    told = b.replays(("measure", sizes.nodes, b.hexes.laws.two_invariants), partial(_measure, b, sizes), rows)
+    told = b.replays(("measure", sizes.nodes, b.hexes.two_invariants), partial(_measure, b, sizes), rows)
     return [StepEnd(residual, *map(bool, flags)) for residual, *flags in told]
 
 

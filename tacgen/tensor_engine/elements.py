@@ -15,9 +15,9 @@ from tacgen.fem.elements import integration
 from tacgen.fem.potential import Projection
 from tacgen.physics import elements, tangents
 from tacgen.physics.cells import around
+from tacgen.physics.laws import two_invariants
 from tacgen.physics.runtime import launch, room
 from tacgen.tensor_engine.indices import constant
-from tacgen.tensor_engine.laws import Laws
 
 Array = np.ndarray
 # N (q, 8) and dN (q, 8, 3) at the integration points
@@ -72,21 +72,23 @@ class Topology:
 @dataclass(frozen=True)
 class Hexes:
     """Cells of each scene: B (capacity, e, q, 8, 3) dN/dX [1/mm], weights (capacity, e, q) [mm^3], 0 for void cells,
-    and laws; slots (s,): the scenes of a call, all if None."""
+    and laws (capacity, e, 9), see physics.laws.Coefficients, of which one depends on `two_invariants`; slots (s,): the
+    scenes of a call, all if None."""
 
     topology: Topology
     B: Tensor
     weights: Tensor
-    laws: Laws
+    laws: Tensor
+    two_invariants: bool
     slots: Tensor | None = None
 
     @classmethod
-    def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Laws) -> "Hexes":
+    def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Tensor) -> "Hexes":
         """With nodes X (s, n, 3) at rest; exists (s, e) bool."""
         dX = jacobians(X[:, topology.conn], HEX_SHAPE_GRADIENTS)
         volume, local = determinant(dX), constant(HEX_SHAPE_GRADIENTS, X)
         B = torch.einsum("qaj,...qIj->...qaI", local, cofactor(dX) / volume[..., None, None])
-        return cls(topology, B.contiguous(), volume * exists[..., None], laws)
+        return cls(topology, B.contiguous(), volume * exists[..., None], laws.contiguous(), two_invariants(laws))
 
     def rows(self, slots: Tensor) -> "Hexes":
         """Only some scenes (r,)."""
@@ -113,7 +115,7 @@ class Hexes:
         shape, energy = F.shape[:3], F.new_empty(F.shape[:2])
         found, stress = F.new_empty(shape if want else (0, 0, 0)), torch.empty_like(F) if want else None
         launch(
-            elements.states, shape[:2], F, self.weights, self.laws.values, self.numbers, 0.0, None, J, taken, energy,
+            elements.states, shape[:2], F, self.weights, self.laws, self.numbers, 0.0, None, J, taken, energy,
             found, stress,
         )  # fmt: skip
         return energy, found, F if stress is None else stress
@@ -162,12 +164,12 @@ class Hexes:
         points = room(kernels.Point, (s * e, q), F)
         modes = None if projection is Projection.NONE else room(kernels.mat, (s * e, q, 9), F)
         launch(
-            kernels.points, (s * e,), F, self.weights, self.laws.values, self.numbers, None, 0.0, None, J,
+            kernels.points, (s * e,), F, self.weights, self.laws, self.numbers, None, 0.0, None, J,
             int(projection), points, None, modes, dilatation,
         )  # fmt: skip
         launch(
             kernels.pair_blocks, (s * e, 64), self.B, self.numbers, None, points, modes, dilatation,
-            self.laws.two_invariants, False, e, K,
+            self.two_invariants, False, e, K,
         )  # fmt: skip
         return F, K
 

@@ -81,7 +81,7 @@ def take(b: Batch, rows: list[int], at: str, mixed: bool, projection: Projection
     sizes = b.sizes(rows)
     work = partial(_taken, b, sizes, at, mixed, projection)
     if projection is Projection.NONE:
-        out = b.replays(("factor", sizes.nodes, sizes.fewest, at, mixed, b.hexes.laws.two_invariants), work, rows)
+        out = b.replays(("factor", sizes.nodes, sizes.fewest, at, mixed, b.hexes.two_invariants), work, rows)
     else:
         out = work(b.slots(rows))[0].tolist()
     for row, fine in zip(rows, out, strict=True):
@@ -155,13 +155,13 @@ def choose(b: Batch, rows: list[int]) -> list[bool]:
     predicted = [float(b.courses[row].predicted) for row in rows]
     near = [float(b.courses[row].near is not None) for row in rows]
     flags = (predicted, near) if any(near) else (predicted,)
-    good = b.replays(("begin", b.hexes.laws.two_invariants, len(flags)), partial(_begin, b), rows, *flags)
+    good = b.replays(("begin", b.hexes.two_invariants, len(flags)), partial(_begin, b), rows, *flags)
     return [bool(fine) for fine in good]
 
 
 def start(b: Batch, rows: list[int]) -> None:
     """Newton's method at that place, or where the solve with softer barriers ended."""
-    b.replays(("start", b.hexes.laws.two_invariants), partial(_start, b), rows)
+    b.replays(("start", b.hexes.two_invariants), partial(_start, b), rows)
 
 
 def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tensor, None]:

@@ -19,7 +19,6 @@ from tacgen.fem.materials import EXAMPLE_LAWS, Law, Stiffened
 from tacgen.fem.potential import Projection
 from tacgen.tensor_engine.elements import Hexes, Topology
 from tacgen.tensor_engine.inversion import FoldingBarriers, least_jacobian
-from tacgen.tensor_engine.laws import Laws
 
 torch.set_num_threads(1)
 LAWS: dict[str, Law] = {**EXAMPLE_LAWS, "stiffened": Stiffened(EXAMPLE_LAWS["mooney_rivlin"], 1.7)}
@@ -44,7 +43,7 @@ class Case:
         self.topology = Topology.of(cells, np.zeros((0, 4), int), n)
         self.exists = torch.ones(len(SCENES), len(cells), dtype=torch.bool)
         table = np.array([[law.coefficients] * len(cells) for law in LAWS.values()])
-        self.laws = Laws.of(torch.tensor(table))
+        self.laws = torch.tensor(table)
         self.X = torch.tensor(np.array(self.points))
         self.many = Hexes.on(self.topology, self.X, self.exists, self.laws)
 
