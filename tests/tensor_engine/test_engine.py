@@ -19,6 +19,7 @@ from tacgen.mechanics.numerics import Numerics
 from tacgen.mechanics.phases import FINAL_PHASES, PHASE_TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.mechanics.solver import PHASE_KERNELS
+from tacgen.tensor_engine import bulk_newton as tensor_bulk
 from tacgen.tensor_engine import engine, load_step, pool
 from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.planning import Planned
@@ -215,7 +216,7 @@ def edges(name: str, patch: pytest.MonkeyPatch) -> set[tuple[Phase, Outcome]]:
     if module is not None:
         patch.setattr(module, patched, by)
         if patched == "take":
-            patch.setattr(bulk_newton, patched, by)
+            patch.setattr(tensor_bulk, patched, by)
     seen, advance = set(), engine.advance
 
     def watched(b: object, phase: Phase, rows: list[int]) -> None:
