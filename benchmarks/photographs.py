@@ -102,9 +102,9 @@ def dark(picture: Array) -> Array:
 
 
 def refined(press: PhotographedPress, untouched: Array, hidden: Array) -> PhotographedPress:
-    """The press with its contact circle, found in a picture whose dots are filled from around them."""
+    """The press with its contact circle, found beside the dots; rims are filled from around them."""
     change = filled(press.picture.astype(float) - untouched, hidden)
-    found = contact_circle.refined(replace(press, picture=untouched + change), untouched)
+    found = contact_circle.refined(replace(press, picture=untouched + change), untouched, hidden)
     return replace(found, picture=press.picture)
 
 

@@ -21,14 +21,17 @@ RADIUS_STARTS = np.arange(0.76, 1.1, 0.04)  # start values of the radius, over t
 # largest shift of the centre and range of the radius, over the given radius
 MAX_CENTRE_SHIFT, MIN_CIRCLE_RATIO, MAX_CIRCLE_RATIO = 0.15, 0.75, 1.1
 CIRCLE_POINTS = 72  # points on the circle
+MIN_SEEN = 0.9  # share of the second derivative's weight on pixels that are seen; points with less are skipped
 CLEAR_RAY_RADII = 1.2  # over the given radius: points whose ray leaves the picture before this are skipped
 
 
-def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
-    """The press with a refined circle, on which the change against the untouched picture (H, W, 3) bends most."""
+def refined(press: PhotographedPress, untouched: Array, hidden: Array | None = None) -> PhotographedPress:
+    """The press with a refined circle, on which the change against the untouched picture (H, W, 3) bends most, where
+    it is not `hidden` (H, W)."""
     if press.contact is None:
         return press
     change, given = press.picture.astype(float) - untouched, press.contact
+    seen = np.ones(change.shape[:2]) if hidden is None else (~hidden).astype(float)
     angles = 2 * np.pi * np.arange(CIRCLE_POINTS) / CIRCLE_POINTS
     start, width = np.array([*press.center, given]), BEND_WIDTH * given
     around = np.column_stack([np.cos(angles), np.sin(angles) / press.aspect])
@@ -38,7 +41,7 @@ def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
         return press
 
     def loss(circle: Array) -> float:
-        return -bend(change, circle, width, angles, press.aspect)
+        return -bend(change, circle, width, angles, seen, press.aspect)
 
     first = start * [1, 1, min(RADIUS_STARTS, key=lambda share: loss(start * [1, 1, share]))]
     shift = [-MAX_CENTRE_SHIFT, MAX_CENTRE_SHIFT]
@@ -49,13 +52,21 @@ def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
     return replace(press, center=(float(x), float(y)), contact=float(contact))
 
 
-def bend(change: Array, circle: Array, width: float, angles: Array, aspect: float = 1.0) -> float:
+def bend(change: Array, circle: Array, width: float, angles: Array, seen: Array, aspect: float = 1.0) -> float:
     """Curvature of a change (H, W, 3) [counts] along the radius at angles (n,) of a circle (x, y, r) [px]: magnitude of
-    the second derivative, averaged over the colours, at the scale of a Gaussian of `width` [px]; radius and width are
-    in pixel widths, and `aspect` is a pixel's height over that."""
+    the second derivative, averaged over the colours, at the scale of a Gaussian of `width` [px], from pixels `seen`
+    (H, W); radius and width are in pixel widths, and `aspect` is a pixel's height over that."""
     radii = circle[2] + width * BEND_OFFSETS[:, None]
     at = [circle[1] + radii * np.sin(angles) / aspect - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
-    seen = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)
-    weight = (BEND_OFFSETS**2 - 1) * np.exp(-(BEND_OFFSETS**2) / 2)
-    curvature = np.einsum("r,rac->ac", weight - weight.mean(), seen)
+    around = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)
+    weight = ((BEND_OFFSETS**2 - 1) * np.exp(-(BEND_OFFSETS**2) / 2))[:, None]
+    even = weight - weight.mean()  # blind to a constant
+    shown = map_coordinates(seen, at, order=1, mode="nearest")
+    there = (np.abs(even) * shown).sum(axis=0) >= MIN_SEEN * np.abs(even).sum()
+    if not there.any():
+        return 0.0
+    shown = shown[:, there]
+    used = shown * (weight - (shown * weight).sum(axis=0) / shown.sum(axis=0))
+    used *= np.linalg.norm(even) / np.linalg.norm(used, axis=0)  # as sensitive to noise as if all were seen
+    curvature = np.einsum("ra,rac->ac", used, around[:, there])
     return float(np.linalg.norm(curvature, axis=1).mean())

@@ -32,7 +32,7 @@ from tacgen.sensor.yaml_source import KeyPath
 Array = np.ndarray
 Choice = tuple[ThicknessResponse | None, int]  # response to thickness, number of the factor on depths
 # of thickness, for the gain [mm]
-GAIN_THICKNESS_CHANGES_MM = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)
+GAIN_THICKNESS_CHANGES_MM = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.04, 0.08, 0.16, 0.24, 0.32, 0.45)
 DEPTH_FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # tried factors on all depths
 GAIN_SPREADS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # tried spreads of the gain [mm]
 PRESS_REACH_MM = 9.0  # distance from a press within which pixels are compared [mm]
@@ -57,7 +57,7 @@ class RenderedPress:
     change: Array  # change of thickness (h, w) [mm], nan off the pad
     mm_per_px: float
     own: Array  # rendered picture over the rendered untouched one
-    wanted: Array  # photograph over the untouched photograph
+    wanted: Array  # photograph over the untouched photograph, as at a fixed exposure
     near: Array
 
     @property
@@ -167,7 +167,8 @@ class Renders:
         steps.expect((SOLVES_S + RENDERS_S) * len(texts))
         jobs = [(made, press, tried, folders) for press, tried in each]
         faces = steps.on_workers(solved_presses.solved, jobs, texts, SOLVES_S)
-        renderer, pairs = images.Renderer(made, FIT_SPP, 0, False), zip(photos.presses, faces, strict=True)
+        fixed = made.model_copy(update={"camera": made.camera.model_copy(update={"auto_exposure": 0.0})})
+        renderer, pairs = images.Renderer(fixed, FIT_SPP, 0, False), zip(photos.presses, faces, strict=True)
         seen = [_seen(made, renderer, photos, *pair) for pair in pairs]
         return cls(made, linear, gain, 0.0 if file is None else file.spread_mm, faces, seen)
 
@@ -252,6 +253,8 @@ def _seen(
         camera_response.linear(np.maximum(p, 1) / 255.0, sensor.camera).reshape(-1, 3)
         for p in (photos.untouched, press.picture)
     )
+    share = sensor.camera.auto_exposure  # the mean has changed by its power 1 - share
+    after *= (after.mean() / before.mean()) ** (share / (1 - share))
 
     def at(face: Surface) -> RenderedPress:
         steps.begin(f"{press.name}: rendered", RENDERS_S / len(faces))

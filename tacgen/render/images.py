@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 Method = Literal["transport", "path", "table"]
+DARKEST = 1e-12  # mean radiance up to which an automatic exposure brightens, as no camera can take it to infinity
 BOUNCE_POINTS = 6, 8  # quadrature points along and up each strip, for interreflection
 TABLE_COLUMNS = 64  # width of the images on which a table is calibrated [px]
 TABLE_EFFORT = 256  # the level of `Effort` of those images
@@ -192,7 +193,19 @@ class Renderer:
             self.light = Cloudy(sensor, self.sheet, markers, spp, variant)
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
-        """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
+        """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's. An
+        automatic exposure has acted on it."""
+        made, share = self._with_glare(surface), self.sensor.camera.auto_exposure
+        if share:
+            made *= (self._level / max(float(made.mean()), DARKEST)) ** share
+        return made
+
+    @cached_property
+    def _level(self) -> float:
+        """Mean radiance of the untouched face, for which the exposure is set."""
+        return float(self._with_glare(self.untouched).mean())
+
+    def _with_glare(self, surface: Surface) -> "NDArray[np.float32]":
         seen = self._without_glare(surface)
         if self.glare is None:
             return seen

@@ -10,9 +10,11 @@ if TYPE_CHECKING:
 
 
 def drawable(renderer: Renderer) -> bool:
-    """Whether a GPU can draw what a renderer does: clear gels, one ray a pixel, square ones, no fitted response."""
+    """Whether a GPU can draw what a renderer does: clear gels, one ray a pixel, square ones, no fitted response, a
+    fixed exposure."""
     light, sensor = renderer.light, renderer.sensor
-    plain = sensor.thickness_response is None and sensor.camera.aspect == 1
+    camera = sensor.camera
+    plain = sensor.thickness_response is None and camera.aspect == 1 and not camera.auto_exposure
     return isinstance(light, Clear) and light.direct.view.samples == 1 and plain
 
 

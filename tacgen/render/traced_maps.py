@@ -38,6 +38,7 @@ MAP_BLUR_PX = 3.5  # standard deviation of the Gaussian that removes a map's noi
 LINEAR_CAMERA_FIELDS = {
     "blur_mm",
     "exposure",
+    "auto_exposure",
     "ambient",
     "vignette_mm",
     "colour_matrix",

@@ -260,6 +260,8 @@ class Camera(Part):
     """Defocus: standard deviation of the point spread function, measured on the coating."""
     exposure: Positive = 1.0
     """Linear radiance to sensor full scale."""
+    auto_exposure: Annotated[float, Field(ge=0, le=0.95)] = 0.0
+    """Share of the logarithm of a change of the mean light that the exposure takes back; 0 if it is fixed."""
     ambient: Rgb = (0.0, 0.0, 0.0)
     """What even stray light adds to a bare coat on the axis, fraction of full scale."""
     glare: Glare | None = None

@@ -29,6 +29,21 @@ def test_the_circle_is_found_from_one_that_is_drawn_badly(pictures, given):
     assert found.contact == pytest.approx(26.0, rel=0.04)
 
 
+@pytest.mark.parametrize("start", [(12.0, 10.0), (4.0, 20.0), (20.0, 2.0)])
+def test_dots_that_move_do_not_move_the_circle(pictures, start):
+    y, x = np.mgrid[:128, :160]
+    dots = [(a, b) for a in np.arange(start[0], 160, 32) for b in np.arange(start[1], 128, 32)]
+    painted, hidden = [], np.zeros((128, 160), bool)
+    for picture, moved in zip(pictures, (0.0, 3.0), strict=True):
+        apart = np.min([np.hypot(x - a - moved, y - b + moved) for a, b in dots], axis=0)
+        painted.append(np.where(apart[..., None] < 6, 0.2 * picture, picture))
+        hidden |= apart < 8
+    untouched, pressed = painted
+    found = contact_circle.refined(PhotographedPress("p", pressed, 2.5, (72.0, 64.5), 30.0, None), untouched, hidden)
+    assert found.center == pytest.approx((70.0, 66.0), abs=1.2)
+    assert found.contact == pytest.approx(26.0, rel=0.06)
+
+
 def test_what_shows_no_circle_keeps_its_own(pictures):
     untouched, pressed = pictures
     solved = PhotographedPress("p", pressed, 2.5, (70.0, 66.0), None, 0.4)

@@ -154,11 +154,11 @@ def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.slow
 def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Photographs of a unit whose press is 4 % deeper than its table says."""
+    """Photographs of a unit whose press is 4 % deeper than its table says, and whose exposure follows the light."""
     monkeypatch.setattr("tacgen.calibrate.scattering_fit.FIT_SPP", 6)
     monkeypatch.setattr("tacgen.calibrate.scattering_fit.DEPTH_FACTORS", (0.96, 1.0, 1.04))
     response = {"change_mm": (-1.0, 0.0, 0.3), "gain": ((0.6, 0.7, 0.8), (1, 1, 1), (1.3, 1.2, 1.1)), "source": "test"}
-    camera = {"width_px": 80, "height_px": 64, "mm_per_px": 0.1, "vignette_mm": None}
+    camera = {"width_px": 80, "height_px": 64, "mm_per_px": 0.1, "vignette_mm": None, "auto_exposure": 0.6}
     path = written(cloudy(camera=camera), tmp_path / "cloudy.yaml")
     unit = Sensor.model_validate(cloudy(camera=camera).model_dump() | {"thickness_response": response})
     folder = photographed(unit, tmp_path / "unit", ())

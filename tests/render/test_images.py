@@ -190,3 +190,15 @@ def test_draft_is_near_to_default_and_coarser(renderer):
     assert len(draft.sheet.rest) < len(renderer.sheet.rest) / 3
     made, fine = (encoded(one.image(DENT).astype(float), sensor().camera) for one in (draft, renderer))
     assert 40 < -10 * np.log10(np.mean((made - fine) ** 2)) < 70  # dB, as is asked for against path
+
+
+def test_an_automatic_exposure_takes_back_a_share_of_a_change_of_the_mean():
+    fixed = drawing(sensor(), 16)
+    made = drawing(sensor(camera={"auto_exposure": 0.6}), 16)
+    assert made.flat() == pytest.approx(fixed.flat())
+    deep = BallDent(4.0, 3.0, (-3.0, 2.0))
+    dent, bare, level = made.image(deep), fixed.image(deep), float(fixed.flat().mean())
+    change = float(bare.mean()) / level
+    assert change > 1.05
+    assert float(dent.mean()) / level == pytest.approx(change**0.4, abs=1e-5)
+    assert dent == pytest.approx(bare * change**-0.6, rel=1e-5)

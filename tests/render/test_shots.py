@@ -217,5 +217,7 @@ def test_clear_gels_with_a_ray_a_pixel_can_be_drawn_on_a_gpu() -> None:
     assert tensor_drawing.drawable(usual)
     assert not tensor_drawing.drawable(fine)
     fitted = usual.sensor.model_copy(update={"thickness_response": object()})
-    assert not tensor_drawing.drawable(SimpleNamespace(light=usual.light, sensor=fitted))  # type: ignore[arg-type]
+    metered = sensor(camera={"auto_exposure": 0.5})
+    for other in (fitted, metered):
+        assert not tensor_drawing.drawable(SimpleNamespace(light=usual.light, sensor=other))  # type: ignore[arg-type]
     assert not tensor_drawing.drawable(SimpleNamespace(light=object(), sensor=usual.sensor))  # type: ignore[arg-type]
