@@ -64,7 +64,8 @@ def entries(player: Player, cases: Sequence[Case], tell: Say) -> Iterator[dict[s
                 its = score(case, said, reference.kept()[case.name])
                 told = told or said.settings
                 played[case.name] = {**asdict(its), "resolved": its.resolved}
-                tell(f"{player.name}, {setting}, {case.name}: {max(its.force):.2%} of the force, {its.seconds:.2f} s")
+                far = f"{max(its.force):.2%} of the force" if its.force else "no force"
+                tell(f"{player.name}, {setting}, {case.name}: {far}, {its.seconds:.2f} s")
             except NotPlayed as error:
                 played[case.name] = {"not_played": str(error)}
                 tell(f"{player.name}, {setting}, {case.name}: not played: {error}")

@@ -19,7 +19,7 @@ class Answer:
     """A player's answer in the n frames that a case judges. All forces are ON THE GEL, in the sensor's frame, z out
     of the gel: those of a press have a negative z.
 
-    force (n, 3) [N]; torque (n, 3) [N mm] about the origin, the lowest point of the untouched contact; seconds of
+    force (n, 3) [N] and torque (n, 3) [N mm], nan without any, about the untouched contact's lowest point; seconds of
     processor time a frame, of all frames, on one core, or of wall time on a GPU if `on_gpu`; settings that matter, as
     they are printed. If the simulator has them: pressure (n, CELLS, CELLS) [MPa] and traction (n, CELLS, CELLS, 2)
     [MPa] per area of a cell of `case.grid()`, at the deformed place, as `case.spread` makes them of forces at points;

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.referee.case import Array, Case, Pose, spread
-from benchmarks.referee.player import Answer
+from benchmarks.referee.player import Answer, NotPlayed
 
 Settings: TypeAlias = Mapping[str, Any]
 FRAME_S = 0.1  # a player with inertia takes this long from a frame to the next: at most 6 mm/s [s]
@@ -71,6 +71,8 @@ def speed(before: Pose, now: Pose, seconds: float) -> Array:
 def answer(found: list[tuple[Array, Array]], seconds: float, how: Settings) -> Answer:
     """The answer of points (n, 3) [mm] and the forces (n, 3) [N] there on the gel, in each judged frame."""
     force = np.array([forces.sum(0) for _, forces in found])
+    if not np.isfinite(force).all():
+        raise NotPlayed("its forces are not finite")
     torque = np.array([np.cross(points, forces).sum(0) for points, forces in found])
     pressure, traction = (np.array(part) for part in zip(*(spread(*one) for one in found), strict=True))
     return Answer(force, torque, seconds, dict(how), pressure, traction)

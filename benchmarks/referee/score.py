@@ -17,10 +17,10 @@ RESOLVED = 0.1  # largest error of a reference as a part of the error that it ju
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of a case, one a judged frame: `normal`, `tangential` and `force` as parts of the size of the force, where
-    there is none of the case's largest; `torque` as a part of the case's largest, empty without torques; `own`: the
-    reference's own error of the force as such a part. Over all frames: `pressure` and `traction`, L2 norms as parts;
-    `markers`, rms [px]; None where the player or the reference has none. `seconds`: a frame."""
+    """Errors of a case, one a judged frame, none without forces: `normal`, `tangential`, `force` as parts of the size
+    of the force, where there is none of the case's largest; `torque` as a part of the case's largest, empty without
+    torques; `own`: the reference's own error of the force as such a part. Over all frames: `pressure`, `traction`, L2
+    norms as parts; `markers`, rms [px]; None where the player or the reference has none. `seconds`: a frame."""
 
     judge: str
     normal: list[float]
@@ -37,7 +37,7 @@ class Score:
     @property
     def resolved(self) -> bool:
         """Whether the reference is ten times as sure as the answer is wrong."""
-        return float(np.mean(self.own)) <= RESOLVED * float(np.mean(self.force))
+        return bool(self.force) and float(np.mean(self.own)) <= RESOLVED * float(np.mean(self.force))
 
 
 def score(case: Case, said: Answer, judged: Judged) -> Score:
@@ -56,7 +56,7 @@ def score(case: Case, said: Answer, judged: Judged) -> Score:
         normal=_list(abs(off[:, 2]) / size),
         tangential=_list(np.linalg.norm(off[:, :2], axis=1) / size),
         force=_list(np.linalg.norm(off, axis=1) / size),
-        own=_list(judged.force_error / size),
+        own=_list(judged.force_error / size + 0 * off[:, 2]),
         torque=_list(turned) if arm.max() > LEAST_TORQUE_MM * size.max() else [],
         pressure=_apart(said.pressure, right.pressure),
         traction=_apart(said.traction, right.traction) if case.friction else None,
@@ -67,7 +67,7 @@ def score(case: Case, said: Answer, judged: Judged) -> Score:
 
 
 def _list(values: Array) -> list[float]:
-    return [float(value) for value in values]
+    return [float(value) for value in values if not np.isnan(value)]
 
 
 def _apart(said: Array | None, right: Array | None) -> float | None:

@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 
 from benchmarks.referee import reference, tune
-from benchmarks.referee.case import CASES, Case, Pose
+from benchmarks.referee.case import CASES, Case, Pose, dots
 from benchmarks.referee.player import NotPlayed
 from benchmarks.referee.players import (
     MODULES,
     felupe_contact,
     felupe_pad,
     felupe_player,
+    fots,
     mujoco_flex,
     mujoco_rigid,
+    newton_hydroelastic,
     players,
 )
 from benchmarks.referee.playing import Simulator, answer, place, speed, steps
@@ -31,7 +33,8 @@ def test_players_without_packages_say_so(name: str) -> None:
     for player in players(name):
         assert player.settings[0] == "default"
         why = player.available()
-        assert (why is None or why.startswith("not installed: ")) != (name == "not_run")
+        told = ("not installed: ", "its distance fields are built on a CUDA GPU")
+        assert (why is None or why.startswith(told)) != (name == "not_run")
 
 
 def test_a_package_that_is_missing_is_named() -> None:
@@ -62,6 +65,8 @@ def test_an_answer_sums_forces_at_points() -> None:
     np.testing.assert_allclose(said.torque, [[-4, 1, 0]])
     assert said.pressure is not None
     assert said.pressure.sum() * 0.5**2 == pytest.approx(3)
+    with pytest.raises(NotPlayed, match="not finite"):
+        answer([(np.zeros((1, 3)), np.full((1, 3), np.nan))], 0.1, {})
 
 
 def test_mujoco_rigid_presses_holds_and_slides_within_friction() -> None:
@@ -88,6 +93,40 @@ def test_mujoco_flex_is_as_stiff_as_its_pad() -> None:
     np.testing.assert_allclose(soft[1], 0, atol=1e-9)
     with pytest.raises(NotPlayed, match="between two soft pads"):
         mujoco_flex.run(BY_NAME["grasp box"], coarse)
+
+
+def test_fots_markers_are_driven_away_drawn_along_and_turned() -> None:
+    """Closed forms: opposite motion on opposite sides of a press, the whole slide under the middle, a turn of all."""
+    here, middle = dots(), 40  # of the markers, at the origin
+    wide = {"dilate": 1e-3, "shear": 1e-4, "twist": 1e-9}
+    pressed = Case("", "ball", 0.0, (Pose(z=-0.8), Pose(z=0.2)), (0, 1))
+    moved = fots.run(pressed, wide).markers
+    assert moved is not None
+    np.testing.assert_allclose(moved[0], -moved[0][::-1], atol=1e-3)
+    assert (moved[0] * here).sum(1).min() >= 0 < moved[0][middle + 1, 0]
+    np.testing.assert_array_equal(moved[1], 0)  # lifted
+    turned = Case("", "ball", 0.0, (Pose(z=-0.8, yaw=20.0), Pose(x=1.0, z=-0.8)), (0, 1))
+    twist, slide = fots.run(turned, wide | {"dilate": 9.0}).markers  # which leaves no motion of a press
+    turn = np.radians(20.0)
+    np.testing.assert_allclose(
+        twist, here @ [[np.cos(turn) - 1, np.sin(turn)], [-np.sin(turn), np.cos(turn) - 1]], atol=0.02
+    )
+    assert slide[middle, 0] == pytest.approx(np.exp(-1e-4 * fots.PX_PER_MM**2), abs=1e-6)
+    with pytest.raises(NotPlayed, match="grasp"):
+        fots.run(BY_NAME["grasp box"], wide)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_hydroelastic_contact_pushes_into_the_pad(first: int) -> None:
+    """By 2 N/mm times a depth of .1 mm at x = 1 mm, of a shape that stands at (1, 0, -1) mm, whichever comes first."""
+    ends = np.array([[[0.0, 0, 0.9]], [[1.0, 0, 0]]]) / 1000  # of the shape in its frame, and of the pad
+    order = (0, 1) if first == 0 else (1, 0)
+    parts = {"shape0": [first], "point0": ends[order[0]], "point1": ends[order[1]], "stiffness": [2000.0]}
+    parts |= {"count": [1], "normal": [[0, 0, -1.0 if first == 0 else 1.0]]}
+    told = {f"rigid_contact_{k}": SimpleNamespace(numpy=lambda v=v: np.array(v)) for k, v in parts.items()}
+    at, force = newton_hydroelastic._normal(SimpleNamespace(**told), Pose(x=1.0, z=-1.0).matrix)
+    np.testing.assert_allclose(at, [[1.0, 0, -0.05]], atol=1e-9)
+    np.testing.assert_allclose(force, [[0, 0, -0.2]], atol=1e-9)
 
 
 def test_the_search_finds_the_least_error() -> None:

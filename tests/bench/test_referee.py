@@ -62,7 +62,7 @@ def test_two_cases_by_two_players(tmp_path: Path) -> None:
     report.write(tmp_path, found)
     page = (tmp_path / report.PAGE).read_text()
     assert f"beaten in `{PRESS.name}` (stubborn, tuned" in page
-    assert f"| stubborn | default | 2 | {report.mean(found[2], 'normal'):.1%} |" in page
+    assert f"| stubborn | default | 2 | {np.mean(report.values(found[2], 'normal')):.1%} |" in page
     told = json.loads((tmp_path / "results" / "referee.json").read_text())
     missing = next(table for table in told["tables"] if table["title"] == "Not run")["rows"]
     assert ["absent", "all", absent.missing] in missing
@@ -72,6 +72,28 @@ def test_two_cases_by_two_players(tmp_path: Path) -> None:
     assert {(one["player"], one["setting"]) for one in again} == {
         (one["player"], one["setting"]) for one in found
     }  # what ran elsewhere stays
+
+
+def test_a_player_of_markers_alone_has_no_force_and_one_on_a_gpu_says_so(tmp_path: Path) -> None:
+    class Silent(Stubborn):
+        def play(self, case: Case, setting: str) -> Answer:
+            said = super().play(case, setting)
+            return replace(said, force=np.nan * said.force, torque=np.nan * said.torque, on_gpu=True)
+
+    silent, ours = next(referee.entries(Silent(), [SLIDE], print)), {"player": "tacgen", "setting": "default"}
+    one = silent["cases"][SLIDE.name]
+    assert one["force"] == one["normal"] == one["own"] == one["torque"] == [] != one["markers"] == 0
+    assert not one["resolved"]
+    ours |= {
+        "version": "",
+        "settings": {},
+        "cases": {SLIDE.name: {**one, "force": [0.5], "own": [0.1], "seconds": 9.0}},
+    }
+    report.write(tmp_path, [silent, {**ours, "cases": {SLIDE.name: ours["cases"][SLIDE.name] | {"on_gpu": False}}}])
+    page = (tmp_path / report.PAGE).read_text()
+    assert "No other player is nearer" in page
+    assert "Faster" not in page  # neither without forces, nor on a GPU
+    assert [line.split("|")[-2].strip() for line in page.splitlines() if line.startswith("| stubborn")] == ["GPU"]
 
 
 def test_a_right_answer_has_no_error_and_a_wrong_sign_one_of_two() -> None:

@@ -10,9 +10,13 @@ MODULES = {
     "mujoco_rigid": "mujoco_rigid",
     "mujoco_flex": "mujoco_flex",
     "newton_soft": "newton_soft",
+    "newton_tets": "newton_tets",
+    "newton_mpm": "newton_mpm",
+    "newton_hydroelastic": "newton_hydroelastic",
     "genesis_rigid": "genesis_rigid",
     "genesis_fem": "genesis_fem",
     "felupe": "felupe_player",
+    "fots": "fots",
     "not_run": "not_run",
 }
 

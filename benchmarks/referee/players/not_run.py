@@ -25,8 +25,8 @@ class Absent:
 
 
 PLAYERS = (
-    Absent("Newton hydroelastic", "its distance fields are built on a CUDA GPU alone (Newton 1.8.0)"),
+    Absent("Newton Style3D", "cloth alone: PROBE"),
+    Absent("Newton MuJoCo", "PROBE"),
     Absent("Warp FEM", "its example of contact, in 2D, glues two bodies: nothing presses, slides or lets go"),
-    Absent("FOTS", "no package to install"),
-    Absent("Taxim", "pictures of a given height map, without forces"),
+    Absent("Taxim", "its markers move as in finite elements of its own gel, which are data of that gel"),
 )
