@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 THICKNESS_SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)
 # standard deviation of a Gaussian over the side of the blocks to whose means it is applied [-]
 GAUSSIAN_STD_PER_BLOCK = 4.0
-CURVE_POINTS = 4096  # points of a tabulated curve
+CURVE_POINTS = 8192  # points of a tabulated curve
 CALIBRATION_DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, of the dent for `fitted_reach` [-]
 
 

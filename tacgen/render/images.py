@@ -195,7 +195,7 @@ class Renderer:
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's. An
         automatic exposure has acted on it."""
-        made, share = self._with_glare(surface), self.sensor.camera.auto_exposure
+        made, share = self._with_glare(self._without_glare(surface)), self.sensor.camera.auto_exposure
         if share:
             made *= (self._level / max(float(made.mean()), DARKEST)) ** share
         return made
@@ -203,10 +203,9 @@ class Renderer:
     @cached_property
     def _level(self) -> float:
         """Mean radiance of the untouched face, for which the exposure is set."""
-        return float(self._with_glare(self.untouched).mean())
+        return float(self._with_glare(self._bare).mean())
 
-    def _with_glare(self, surface: Surface) -> "NDArray[np.float32]":
-        seen = self._without_glare(surface)
+    def _with_glare(self, seen: "NDArray[np.float32]") -> "NDArray[np.float32]":
         if self.glare is None:
             return seen
         if self._scatters:
@@ -214,11 +213,15 @@ class Renderer:
         return np.asarray(np.maximum(seen + self.glare, 0), np.float32)
 
     @cached_property
+    def _bare(self) -> "NDArray[np.float32]":
+        """Radiance (H, W, 3) of the untouched face without glare."""
+        return self._without_glare(self.untouched)
+
+    @cached_property
     def _brighter(self) -> "NDArray[np.float32]":
         """Factor (H, W, 3) of the glare on light that a gel scatters, all of which comes through the gel."""
-        level = self._without_glare(self.untouched)
         assert self.glare is not None
-        return np.asarray(np.maximum(1 + self.glare / np.where(level > 0, level, np.inf), 0), np.float32)
+        return np.asarray(np.maximum(1 + self.glare / np.where(self._bare > 0, self._bare, np.inf), 0), np.float32)
 
     @property
     def _scatters(self) -> bool:
