@@ -16,6 +16,7 @@ import numpy as np
 from tacgen.mechanics.condensation import Schur
 from tacgen.mechanics.coupled import ContactForces, CoupledContact
 from tacgen.mechanics.line_search import backtrack
+from tacgen.mechanics.measures import SMALLEST
 from tacgen.physics.decisions import (
     ARMIJO_DECREASE,
     MAX_FULL_STEP_RESIDUAL_RATIO,
@@ -210,7 +211,7 @@ def _full(
 
 def _to_radius(gone: Array, step: Array, radius: float) -> float:
     """Fraction of a step at which the first entry reaches the radius."""
-    away = np.where(step != 0, (radius - np.sign(step) * gone) / np.maximum(np.abs(step), 1e-300), np.inf)
+    away = np.where(step != 0, (radius - np.sign(step) * gone) / np.maximum(np.abs(step), SMALLEST), np.inf)
     return float(max(away.min(), 0.0))
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from tacgen.mechanics.barrier import barrier
 from tacgen.mechanics.coupled import CoupledContact, smooth
-from tacgen.mechanics.measures import slip
+from tacgen.mechanics.measures import SMALLEST, slip
+from tacgen.physics.contact import MIN_SLOPE
 
 Array = np.ndarray
 
@@ -32,7 +33,7 @@ class ContactSlopes:
         self.eps, self.forces = coupled.eps, coupled.evaluate(x)
         n, N = self.forces.normal, self.forces.N
         self._gradient, self._hessian = self.forces.seen.n, self.forces.seen.H
-        self._size = np.maximum(np.linalg.norm(self._gradient, axis=-1), 1e-12)
+        self._size = np.maximum(np.linalg.norm(self._gradient, axis=-1), MIN_SLOPE)
         _, db, ddb = barrier(self.forces.gap, contact.dhat)
         stiffness = contact.kappa * contact.faces.areas
         self._N_by_gap = -stiffness * ddb * self._size
@@ -43,7 +44,7 @@ class ContactSlopes:
         _, slope, bend = smooth(self._length, coupled.eps)
         curved = bend[..., None, None] * self._slip[..., :, None] * self._slip[..., None, :]
         self._by_anchor = (coupled.friction * N)[..., None, None] * (slope[..., None, None] * self._across + curved)
-        touching = np.where(N > 0, self._N_by_gap / np.maximum(N, 1e-300), 0.0)
+        touching = np.where(N > 0, self._N_by_gap / np.maximum(N, SMALLEST), 0.0)
         self.by_offset = touching[..., None] * self.forces.force  # d(force)/d(offset) (f, q, 3) [N/mm]
 
     @cached_property
@@ -71,7 +72,7 @@ class ContactSlopes:
 
     def dragged(self, motion: Array, anchors: Array) -> Array:
         """Change of the anchors after the step; `anchors` is that before it (see measures.dragged)."""
-        n, length, u = self.forces.normal, np.maximum(self._length, 1e-300), self._slip
+        n, length, u = self.forces.normal, np.maximum(self._length, SMALLEST), self._slip
         turn, away = self.normal(motion), motion - anchors
         slip = times(self._across, away) - self._lever[..., None] * turn
         slip -= dot(turn, u + self._lever[..., None] * n)[..., None] * n

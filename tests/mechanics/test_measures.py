@@ -41,9 +41,18 @@ def test_a_point_touches_where_its_way_meets_the_surface() -> None:
 
 def test_a_change_within_rounding_is_all_that_was_predicted() -> None:
     change, predicted = np.array([1e-9, -0.5, 0.5, -0.5]), np.array([-1.0, -1.0, -1.0, 3.0])
-    assert measures.lowers(change, predicted, 1e3, 1e-6, 1e-3).tolist() == [True, True, False, True]
+    assert measures.lowers(change, predicted, 1.0, 1e-6, 1e-3).tolist() == [True, True, False, True]
+    assert measures.lowers(change, predicted, 1e4, 0.0, 0.0).tolist() == [True, True, False, True]
     enough = -measures.MIN_ENERGY_GAIN * np.array([2.0, 0.5])
     assert measures.lowers(enough, predicted[:2], 0.0, 0.0, 0.0).tolist() == [True, False]
+
+
+def test_facets_are_touched_or_were_or_are_the_nearest() -> None:
+    gap, last = np.array([[0.1, 0.5], [0.2, 0.3], [0.4, 0.1]]), np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    found = [
+        measures.touched(gap, dhat, 0.1, old).tolist() for dhat, old in ((0.15, last), (0.05, last), (0.05, 0 * last))
+    ]
+    assert found == [[True, False, True], [False, True, False], [True, False, True]]
 
 
 def arguments(name: str) -> tuple[Any, ...]:
