@@ -11,7 +11,7 @@ from scipy import ndimage
 from benchmarks.results_page import ROOT
 from tacgen.calibrate import contact_circle
 from tacgen.calibrate.photos import PhotographedPress
-from tacgen.calibrate.render_comparison import PictureOfPress
+from tacgen.calibrate.render_comparison import PictureOfPress, near
 from tacgen.render.photograph import read
 
 Array = np.ndarray
@@ -35,6 +35,7 @@ DIGIT = {  # centre and radius of the contact [px], and depth [mm]: solved faces
 NINE = ("ball_R4mm_rectified.png", 4.0, (245.0, 189.5), 1.78)  # radius [mm], centre [px], depth [mm]
 DARK = 0.15  # a dot is darker than its surroundings by this share
 WIDTH, RIM = 21, 3  # side of a square larger than a dot, and width of its rim [px]
+REST = 2.7  # contact radii from a press beyond which its picture shows the untouched gel; fans of shadow reach so far
 FILL = 4.0  # standard deviation of the Gaussian by which hidden pixels are filled [px]
 
 
@@ -67,6 +68,18 @@ def unit(name: str, folder: Path | None = None) -> Unit | None:
     elif name in MINIS:
         presses = [contact_circle.refined(press, untouched) for press in presses]
     return Unit(folder, untouched, tuple(presses), tuple(hidden))
+
+
+def drift(unit: Unit) -> Array:
+    """What pictures of presses show beyond the untouched one (H, W, 3) [counts] far from their contacts, mean over the
+    presses; where none is far, the mean of that. Streaks and fans move in the minutes between two photographs."""
+    far = np.array([~near(press, REST) for press in unit.presses], float)[..., None]
+    beyond = sum(
+        seen * (press.picture - unit.untouched.astype(float)) for seen, press in zip(far, unit.presses, strict=True)
+    )
+    count = far.sum(axis=0)
+    found = beyond / np.maximum(count, 1.0)
+    return np.asarray(np.where(count > 0, found, found[count[..., 0] > 0].mean(axis=0)))
 
 
 def as_drawn(name: str, folder: Path) -> list[PhotographedPress]:

@@ -30,13 +30,15 @@ Array = np.ndarray
 ABOUT = (
     "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
     " between the ball's normals and those of a network trained on rendered dents; beside it, on the same presses"
-    " rendered with noise (what a perfect sensor file would reach), of networks trained on the unit's other presses,"
+    " rendered with noise (what a perfect sensor file would reach), also with an untouched picture as far from theirs"
+    " as photographs far from the contacts show it to be, of networks trained on the unit's other presses,"
     " real and rendered, and of the flat face. Contrast: change of colour per slope of the ball, rendered over real."
     " The shipped files' LEDs were fitted to some of these presses."
 )
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
          "correlation red: .2f", "of green: .2f", "of blue: .2f")  # fmt: skip
-PAIRS = ("rendered to real", "rendered to rendered", "real to real, left out", "rendered to rendered, left out")
+PAIRS = ("rendered to real", "rendered to rendered", "to rendered, untouched as photographed",
+         "real to real, left out", "rendered to rendered, left out")  # fmt: skip
 SPP = 64
 OTHERS = (3.0, 5.0)  # radii [mm] of the balls from which the table of grey to depth for 9DTact is made
 CONTACT = 2.4  # radius [mm] around the centre within which the ball is certainly in contact
@@ -83,16 +85,19 @@ def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
         sensor = sensor_of(name)
         compared, random = Comparison(sensor), np.random.default_rng(0)
         faces = [solved_presses.face(sensor, press, {}) for press in one.presses]
-        like = compared.likeness(one.presses, faces, one.untouched)
+        net = compared.net(one.presses)
+        like = compared.likeness(one.presses, faces, one.untouched, net)
         pairs = list(zip(one.presses, faces, strict=True))
         real = [compared.photographed(press, face, one.untouched) for press, face in pairs]
         made = [compared.rendered(press, face, random) for press, face in pairs]
+        moved = photographs.drift(one)
+        drifted = np.mean([a.off(net.normals(replace(a, change=a.change + moved).features)) for a in made])
         others: list[float | None] = [None, None]
         if level != "smoke":  # networks trained on all other presses
             each = [[a.off(learned([b for b in some if b is not a]).normals(a.features)) for a in some]
                     for some in (real, made)]  # fmt: skip
             others = np.mean(each, axis=1).tolist()
-        normals.append([name, len(real), like.flat, like.normals, like.noisy, *others])
+        normals.append([name, len(real), like.flat, like.normals, like.noisy, float(drifted), *others])
         colours.append([name, *map(float, (*like.contrast, *like.direction, *like.correlation))])
         say(f"{name}: {like}")
     heads = columns("sensor", "presses", "flat [deg]: .1f", *(f"{what} [deg]: .1f" for what in PAIRS))

@@ -93,6 +93,12 @@ def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
     return strip_light.points(one, along, across)
 
 
+def _reflection(led: Led, leds: Sequence[Led]) -> bool:
+    """Whether an LED stands for light that another one's surroundings give back: a longer one has the same colour. Few
+    pixels see it, so its radiance alone is fitted."""
+    return any(np.argmax(led.light) == np.argmax(one.light) and one.size_mm[0] > 2 * led.size_mm[0] for one in leds)
+
+
 class PhotometricModel:
     """Misfit between photographs and trial sensors."""
 
@@ -168,14 +174,15 @@ class PhotometricModel:
         """Bounds and start of every parameter: those of the LEDs, then specular weight, roughness, vignette, crop."""
         mm, coat, eye = self.limits.mm, self.sensor.coating, self.sensor.camera
         rad, gloss, factor = (np.radians(self.limits.deg), SPECULAR, FACTOR) if mm > 0 else (0.0, 0.0, 1.0)
-        led = [*[(-mm, mm, 0.0)] * 3, *[(-rad, rad, 0.0)] * 2, (-np.log(factor), np.log(factor), 0.0)]
+        led = np.array([*[(-mm, mm, 0.0)] * 3, *[(-rad, rad, 0.0)] * 2, (-np.log(factor), np.log(factor), 0.0)])
         rest = [
             (max(0.0, coat.specular - gloss), min(1.0, coat.specular + gloss), coat.specular),
             (coat.roughness / factor, min(1.0, coat.roughness * factor), coat.roughness),
             *((r / factor, r * factor, r) for r in eye.vignette_mm or (1.0, 1.0, 1.0)),
             *[(-mm, mm, 0.0)] * 2,
         ]
-        least, most, start = np.array([*led * len(self.sensor.leds), *rest], dtype=float).T
+        each = [led * (not _reflection(one, self.sensor.leds)) for one in self.sensor.leds]
+        least, most, start = np.concatenate([*each, rest]).T
         return least, most, start
 
     def moved(self, led: Led, parts: tuple[float, ...]) -> Led:

@@ -146,8 +146,11 @@ class Comparison:
         shares = [(press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses]
         return max(TRAINING_CONTACT_SHARES[1], *shares)
 
-    def likeness(self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array) -> Likeness:
-        """Likeness over presses with known contact circles."""
+    def likeness(
+        self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array,
+        net: NormalNet | None = None,
+    ) -> Likeness:  # fmt: skip
+        """Likeness over presses with known contact circles; `net`: that of the presses, if it is made already."""
         each = list(zip(presses, faces, strict=True))
         real = [self.photographed(press, face, untouched) for press, face in each]
         made = [self.rendered(press, face) for press, face in each]
@@ -157,7 +160,7 @@ class Comparison:
         seen = ((size[:, 0] >= MIN_CONTRAST_CHANGE) | (size[:, 0] == size[:, 0].max(axis=0))) & (size[:, 0] > 0)
         around = [near(press, CORRELATED_CONTACT_RADII) for press in presses]
         alike = [_correlation(a.change[w], b.change[w]) for a, b, w in zip(real, made, around, strict=True)]
-        net, random = self.net(presses), np.random.default_rng(0)
+        net, random = net or self.net(presses), np.random.default_rng(0)
         noisy = [self.rendered(press, face, random) for press, face in each]
         off, off_noisy = (np.array([a.off(net.normals(a.features)) for a in part]) for part in (real, noisy))
         return Likeness(

@@ -40,14 +40,14 @@ class StripPoints(NamedTuple):
         return self.at, self.normal, np.column_stack([self.area, self.half]), kinds
 
 
-def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> StripPoints:
-    """`along` x `up` Gauss-Legendre points on each of the `pieces` of equal length of every strip, with their areas:
-    strip by strip, piece by piece, position by position along it, and from bottom to top."""
+def points(leds: "Sequence[Led]", along: int, up: int, pieces: "Sequence[int]" = ()) -> StripPoints:
+    """`along` x `up` Gauss-Legendre points on each of the `pieces` of equal length of every strip, by default one, with
+    their areas: strip by strip, piece by piece, position by position along it, and from bottom to top."""
     at, normal, area, half, strip, lobe = [], [], [], [], [], []
-    (a, share_a), (b, share_b) = (np.polynomial.legendre.leggauss(n) for n in (along, up))
-    a, share_a = ((2 * np.arange(pieces)[:, None] + 1 + a) / pieces - 1).ravel(), np.tile(share_a / pieces, pieces)
+    (ends, shares), (b, share_b) = (np.polynomial.legendre.leggauss(n) for n in (along, up))
     for k, led in enumerate(leds):
-        axes, (w, h) = frame(led.normal, led.up), led.size_mm
+        n, axes, (w, h) = pieces[k] if pieces else 1, frame(led.normal, led.up), led.size_mm
+        a, share_a = ((2 * np.arange(n)[:, None] + 1 + ends) / n - 1).ravel(), np.tile(shares / n, n)
         for i in range(len(a)):
             for j in range(up):
                 at.append(np.array(led.center_mm) + a[i] * w / 2 * axes[:, 0] + b[j] * h / 2 * axes[:, 1])

@@ -19,13 +19,14 @@ from tacgen.physics import runtime, strip_columns
 from tacgen.physics.strip_columns import HEIGHT_STEP_MM, LATERAL_STEP_MM, LIGHT_FIELDS
 
 if TYPE_CHECKING:
-    from tacgen.sensor.model import LitSensor
+    from tacgen.sensor.model import Led, LitSensor
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 # smallest and largest spacing of positions [mm]; spacing over the strips' distance [-]
 POSITION_SPACINGS_MM, POSITION_SPACING_RATIO = (0.2, 0.4), 0.15
+LONG_STRIP_RAD = 0.85  # angle at which a strip is seen from the pad's middle that has all pieces [rad]
 MAX_BULGE_MM = 1.0  # largest height of a bulging face above the untouched one [mm]
 POINTS_OF_COLUMN = strip_columns.POINTS_ALONG_COLUMN, strip_columns.POINTS_ACROSS_COLUMN
 
@@ -50,13 +51,13 @@ class Columns(NamedTuple):
 
     @classmethod
     def of(cls, sensor: "LitSensor", pieces: int, untouched: Terrain) -> "Columns":
-        """Each strip in so many `pieces`, for faces anywhere in the outermost layer before the camera."""
+        """Each strip in up to so many `pieces`, for faces anywhere in the outermost layer before the camera."""
         from scipy.ndimage import map_coordinates
 
         field, slab, lights = (
             seen(sensor),
             Slab.of(sensor),
-            points(sensor.leds, *POINTS_OF_COLUMN, pieces),
+            points(sensor.leds, *POINTS_OF_COLUMN, [_pieces(led, pieces) for led in sensor.leds]),
         )
         z = np.linspace(
             slab.bottoms[-1] + 0.1 * HEIGHT_STEP_MM,
@@ -84,6 +85,12 @@ class Columns(NamedTuple):
             light.reshape(len(z), len(y), len(x), -1),
             float(slab.bottoms[0]),
         )
+
+
+def _pieces(led: "Led", most: int) -> int:
+    """Pieces of a strip: as many as a long one has, per angle at which it is seen from the pad's middle."""
+    angle = 2 * math.atan(led.size_mm[0] / 2 / math.hypot(*led.center_mm))
+    return min(most, math.ceil(most * angle / LONG_STRIP_RAD))
 
 
 def tabulated(

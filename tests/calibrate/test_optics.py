@@ -23,7 +23,7 @@ from helpers.tiny import PLAIN, cloudy, sensor
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import optics, photos, solved_presses
-from tacgen.calibrate.photometric_model import FitLimits
+from tacgen.calibrate.photometric_model import LED_PARAMETERS, FitLimits, PhotometricModel
 from tacgen.calibrate.render_comparison import Likeness
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
@@ -103,6 +103,16 @@ def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_p
     assert free.untouched < 1.0
     powers = [sum(led.radiance) for led in free.sensor.leds]
     assert powers == pytest.approx([10.8, 8.1, 9.0], rel=0.08)
+
+
+def test_of_a_reflection_of_an_led_the_radiance_alone_is_fitted() -> None:
+    led = PLAIN["leds"][0]
+    unit = sensor(camera=FINE, markers=None, leds=[*PLAIN["leds"], {**led, "name": "back", "size_mm": [1.0, 1.0]}])
+    plain = photos.Photos(Path(), np.full((unit.camera.height_px, unit.camera.width_px, 3), 90, np.uint8), ())
+    model = PhotometricModel(unit, plain, (), FitLimits())
+    free = (model._most > model._least)[: LED_PARAMETERS * len(unit.leds)].reshape(-1, LED_PARAMETERS)
+    assert free.all(axis=1).tolist() == [True] * len(PLAIN["leds"]) + [False]
+    assert not free[-1].any()
 
 
 def test_a_background_alone_gives_powers_and_dots_are_left_out(tmp_path: Path) -> None:

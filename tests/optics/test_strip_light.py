@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from helpers import light_paths
+from helpers.tiny import sensor
 
-from tacgen.optics import strip_light
+from tacgen.optics import strip_light, strip_light_table
 from tacgen.optics.camera import PinholeCamera, Stack
 from tacgen.optics.shadows import Terrain
 from tacgen.sensor.model import Led
@@ -24,6 +25,19 @@ def received(at, normal, lobe=0, depth=10.0, index=1.0):
 def test_a_small_strip_obeys_the_inverse_square_law():
     """It faces the spot; index 1 has no mirror image."""
     assert received([3.0, 0.0, -4.0], [-0.6, 0.0, 0.8]) == pytest.approx(1e-3 * 0.8 / 25.0 / np.pi, rel=1e-6)
+
+
+def test_a_strip_has_pieces_by_the_angle_at_which_it_is_seen():
+    """All that a long one has, one if it is short, and the same area."""
+    long, short = sensor().leds[0].model_copy(update={"center_mm": (-9.0, 0.0, -2.0)}), {"size_mm": (1.0, 1.0)}
+    leds = long, long.model_copy(update=short)
+    made = sensor().model_copy(update={"leds": leds})
+    columns = strip_light_table.Columns.of(made, 6, LEVEL)
+    assert [list(columns.strip).count(k) for k in (0, 1)] == [6, 1]
+    points = strip_light.points(leds, 2, 2, [6, 1])
+    assert [points.area[points.strip == k].sum() for k in (0, 1)] == pytest.approx(
+        [np.prod(led.size_mm) for led in leds]
+    )
 
 
 def test_a_lobe_takes_light_off_the_normal_away():
