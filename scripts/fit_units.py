@@ -63,7 +63,7 @@ def main() -> None:
         told = {key: text.replace(optics.OPTICS_SOURCE, "by scripts/fit_units.py") for key, text in changes.items()
                 if key[-1] == "source"}  # fmt: skip
         told["name",] = name
-        told["description",] = f"GelSight Mini, lights fitted to photographs of a {name[15:]} unit, no markers"
+        told["description",] = f"GelSight Mini, lights fitted to photographs of a {name[14:]} unit, no markers"
         write_sensor(path, sensor, changes | told, asked.out / f"{name}.yaml")
         print(f"{name}: off by {found.untouched:.1f} counts rms untouched, {found.presses:.1f} under presses")
         for led, now in zip(sensor.leds, found.sensor.leds, strict=True):

@@ -259,8 +259,9 @@ def test_presses_may_give_depth_or_contact_or_both(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gel: dict[str, Any], given: str
 ) -> None:
     """Faces by formula stand for solved ones."""
-    unit = sensor(gel=gel, camera=FINE, markers=None)
-    path, folder = written(unit, tmp_path / "unit.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:3])
+    dim = [{**led, "power": 0.8} for led in PLAIN["leds"]]
+    unit, file = (sensor(gel=gel, camera=FINE, markers=None, leds=leds) for leds in (PLAIN["leds"], dim))
+    path, folder = written(file, tmp_path / "unit.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:3])
     contacts = {center: contact for _, center, contact in PRESSES}
 
     def solved(sensor: Any, press: photos.PhotographedPress, aims: Any, folders: Any) -> Any:
