@@ -143,7 +143,8 @@ def picture(entries: Sequence[Entry]) -> Plot:
     series = dict[str, Series]()
     for one in entries:
         if values(one, "force"):
-            points = series.setdefault(one["player"], Series(one["player"], [], [], []))
+            name = one["player"] + ", on a GPU" * on_gpu(one)
+            points = series.setdefault(name, Series(name, [], [], []))
             points.x.append(seconds(one))
             points.y.append(float(np.mean(values(one, "force"))))
             points.labels.append(one["setting"])
