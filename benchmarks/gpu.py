@@ -365,13 +365,14 @@ def pictures(told: argparse.Namespace) -> None:
 
 def pictured(sensor: str, quality: str, device: str, count: int = 10) -> str:
     """Time and error of pictures of so many dents at random places by a core and by the GPU."""
-    from tacgen.tensor_optics.drawing import Drawing
+    from tacgen.render import tensor_drawing
 
     asked = [f"sensor={sensor}", f"quality={quality}", "outputs=[force, rgb]"]
     (row,) = plan.load(assets.recipe_path("quickstart"), asked).rows
     renderer = Renderer(row.sensor, row.recipe.resolved().spp, 0, row.sensor.markers is not None)  # type: ignore[arg-type]
-    if not isinstance(renderer.light, Clear):
+    if not tensor_drawing.drawable(renderer):
         return "not drawn on a GPU"
+    assert isinstance(renderer.light, Clear)
     random, direct = np.random.default_rng(0), renderer.light.direct
     dents = random.uniform([2.5, 0.2, -3, -3], [5.0, 0.6, 3, 3], (count, 4))
     faces = [BallDent(radius, share * radius, (x, y), renderer.untouched) for radius, share, x, y in dents]
@@ -382,7 +383,7 @@ def pictured(sensor: str, quality: str, device: str, count: int = 10) -> str:
     tolerance, direct.tolerance = direct.tolerance, EVERYWHERE
     exact = np.array([renderer.image(face) for face in faces])
     direct.tolerance = tolerance
-    drawing = Drawing(direct, renderer.light.glow, renderer.stray, renderer.texture, device)
+    drawing = tensor_drawing.drawing(renderer, device)
     nodes, none = np.stack([renderer.sheet.at(face) for face in faces]), [None] * count
     light = drawing.radiance(nodes)
     counts = drawing.developed(light, none, none).astype(int)

@@ -11,7 +11,6 @@ MODULES = {
     "mujoco_flex": "mujoco_flex",
     "newton_soft": "newton_soft",
     "newton_tets": "newton_tets",
-    "newton_mpm": "newton_mpm",
     "newton_hydroelastic": "newton_hydroelastic",
     "genesis_rigid": "genesis_rigid",
     "genesis_fem": "genesis_fem",

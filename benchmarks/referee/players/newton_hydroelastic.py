@@ -21,7 +21,7 @@ STEP_S, FREE = 1e-8, 2000  # time step of the free box, and how many
 
 def settings_at(x: Sequence[float]) -> dict[str, Any]:
     """Settings of a point of the search: logs of the pad's stiffness [Pa/m] and of how much stiffer the shape is."""
-    return DEFAULT | {"kh": 10 ** x[0], "ratio": 10 ** x[1], "kd": 0.0}
+    return DEFAULT | {"kh": 10 ** x[0], "ratio": 10 ** x[1]}
 
 
 def run(case: Case, how: Settings) -> Answer:
@@ -75,6 +75,6 @@ def _model(case: Case, how: Settings) -> Any:
     return builder.finalize(device=CUDA)
 
 
-# The best of 40 trials of the presses: their mean error, of which 10 is the most, from 1000 % to 15 %.
+# The best of 40 trials of the presses: mean error from 1000 % to 15 %. Damping, Newton's own, resists slides and tilt.
 TUNED = settings_at((np.log10(1.470e8), np.log10(10.80)))
 PLAYERS = (OnCuda("Newton hydroelastic", *MADE, {"default": DEFAULT, "tuned": TUNED}, run),)
