@@ -81,3 +81,10 @@ def test_both_engines_solve_a_draw_alike(monkeypatch: pytest.MonkeyPatch) -> Non
     assert found.begun < at <= found.ended
     assert frames == len(core.forces)
     assert found.forces[1][: core.stable] == pytest.approx(core.forces[: core.stable], abs=1e-4)
+
+
+def test_pictures_are_drawn_as_a_run_draws_them() -> None:
+    """With the Mini's glare, without which counts are 3 off in the mean."""
+    needs("torch")
+    told = gpu.pictured("gelsight_mini", "draft", "cpu", count=1)
+    assert told.endswith("0.00000 and 0")
