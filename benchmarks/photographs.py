@@ -71,15 +71,12 @@ def unit(name: str, folder: Path | None = None) -> Unit | None:
 
 
 def drift(unit: Unit) -> Array:
-    """What pictures of presses show beyond the untouched one (H, W, 3) [counts] far from their contacts, mean over the
-    presses; where none is far, the mean of that. Streaks and fans move in the minutes between two photographs."""
-    far = np.array([~near(press, REST) for press in unit.presses], float)[..., None]
-    beyond = sum(
-        seen * (press.picture - unit.untouched.astype(float)) for seen, press in zip(far, unit.presses, strict=True)
-    )
-    count = far.sum(axis=0)
-    found = beyond / np.maximum(count, 1.0)
-    return np.asarray(np.where(count > 0, found, found[count[..., 0] > 0].mean(axis=0)))
+    """Mean change (H, W, 3) [counts] of pictures of presses far from their contacts against the untouched one; where
+    none is far, the mean of that. Streaks and fans move in the minutes between two photographs."""
+    change = np.array([press.picture - unit.untouched.astype(float) for press in unit.presses])
+    touched = np.array([near(press, REST) for press in unit.presses])[..., None]
+    found = np.ma.masked_array(change, np.broadcast_to(touched, change.shape)).mean(axis=0)
+    return np.asarray(np.where(found.mask, found.mean(axis=(0, 1)), found.data))
 
 
 def as_drawn(name: str, folder: Path) -> list[PhotographedPress]:

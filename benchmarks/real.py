@@ -30,15 +30,13 @@ Array = np.ndarray
 ABOUT = (
     "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
     " between the ball's normals and those of a network trained on rendered dents; beside it, on the same presses"
-    " rendered with noise (what a perfect sensor file would reach), also with an untouched picture as far from theirs"
-    " as photographs far from the contacts show it to be, of networks trained on the unit's other presses,"
-    " real and rendered, and of the flat face. Contrast: change of colour per slope of the ball, rendered over real."
-    " The shipped files' LEDs were fitted to some of these presses."
+    " rendered with noise (what a perfect sensor file would reach), also with the drift of the untouched picture that"
+    " photographs show far from contacts, of networks trained on the unit's other presses, and of the flat face."
+    " Contrast: change of colour per slope of the ball, rendered over real. LEDs were fitted to some of these presses."
 )
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
          "correlation red: .2f", "of green: .2f", "of blue: .2f")  # fmt: skip
-PAIRS = ("rendered to real", "rendered to rendered", "to rendered, untouched as photographed",
-         "real to real, left out", "rendered to rendered, left out")  # fmt: skip
+PAIRS = ("rendered to real", "rendered to rendered", "the same with drift", "real to real, left out")
 SPP = 64
 OTHERS = (3.0, 5.0)  # radii [mm] of the balls from which the table of grey to depth for 9DTact is made
 CONTACT = 2.4  # radius [mm] around the centre within which the ball is certainly in contact
@@ -73,7 +71,7 @@ def bench(level: Level, say: Say) -> Result:
         tables.append(population(say))
     if "ninedtact" in units and whole:
         tables.append(_depth(units["ninedtact"], say))
-    if whole and wedge_here():
+    if whole and (photographs.reference() / WEDGE / FORCES).is_file():
         tables += wedge_tables(say)
     return Result(ABOUT, tables)
 
@@ -83,21 +81,18 @@ def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
     normals, colours = list[list[Cell]](), list[list[Cell]]()
     for name, one in units.items():
         sensor = sensor_of(name)
-        compared, random = Comparison(sensor), np.random.default_rng(0)
+        compared, random, drift = Comparison(sensor), np.random.default_rng(0), photographs.drift(one)
         faces = [solved_presses.face(sensor, press, {}) for press in one.presses]
         net = compared.net(one.presses)
         like = compared.likeness(one.presses, faces, one.untouched, net)
         pairs = list(zip(one.presses, faces, strict=True))
         real = [compared.photographed(press, face, one.untouched) for press, face in pairs]
         made = [compared.rendered(press, face, random) for press, face in pairs]
-        moved = photographs.drift(one)
-        drifted = np.mean([a.off(net.normals(replace(a, change=a.change + moved).features)) for a in made])
-        others: list[float | None] = [None, None]
+        drifted = np.mean([a.off(net.normals(replace(a, change=a.change + drift).features)) for a in made])
+        lost = None
         if level != "smoke":  # networks trained on all other presses
-            each = [[a.off(learned([b for b in some if b is not a]).normals(a.features)) for a in some]
-                    for some in (real, made)]  # fmt: skip
-            others = np.mean(each, axis=1).tolist()
-        normals.append([name, len(real), like.flat, like.normals, like.noisy, float(drifted), *others])
+            lost = float(np.mean([a.off(learned([b for b in real if b is not a]).normals(a.features)) for a in real]))
+        normals.append([name, len(real), like.flat, like.normals, like.noisy, float(drifted), lost])
         colours.append([name, *map(float, (*like.contrast, *like.direction, *like.correlation))])
         say(f"{name}: {like}")
     heads = columns("sensor", "presses", "flat [deg]: .1f", *(f"{what} [deg]: .1f" for what in PAIRS))
@@ -222,11 +217,6 @@ def sensor_of(name: str) -> LitSensor:
     """The sensor file of a unit, shipped or of the population."""
     beside = assets.recipe_path(RECIPE).parent / "units" / f"{name}.yaml"
     return cast(LitSensor, loading.read_sensor(beside if beside.is_file() else assets.sensor_path(name))[0])
-
-
-def wedge_here() -> bool:
-    """Whether photographs of the Wedge are there."""
-    return (photographs.reference() / WEDGE / FORCES).is_file()
 
 
 def wedge_laid_out(out: Path) -> None:

@@ -25,7 +25,6 @@ from tacgen.base.errors import UserError
 from tacgen.base.terminal import say
 from tacgen.touch import intervals, labels, scenes, sources
 from tacgen.touch.episode import EpisodeLog, Finger, Thing, Touch
-from tacgen.touch.recording import Recording
 
 Array = np.ndarray
 SENSOR = "gelsight_mini"
@@ -67,7 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def checked(recorded: Path, number: int, match: str, folder: Path, workers: int) -> tuple[list[str], list[str]]:
     """The line of an episode, and notes on its rows."""
     before, kind = _core_seconds(), KINDS[number % len(KINDS)].name
-    source = _source(recorded, kind, folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (columns := folder / "columns.yaml").write_text(COLUMNS)
+    source = sources.open_source(recorded / "robomimic.hdf5", None, (kind,), columns)
     asked = scenes.TouchChoice(match)
     prepared = scenes.prepare(source, FINGERS, asked, folder, range(number, number + 1), overwrite=True)
     touches = labels.felt(prepared, batch.run(prepared.plan, folder, workers=workers, overwrite=True))[0]
@@ -102,13 +103,6 @@ def compared(
         f"{np.abs(normal / asked - 1).max():.4f}", f"{expected:.3f}", f"{moved.min():.3f}", f"{moved.max():.3f}",
         f"{np.median(engine / normal):.3f}",
     ]  # fmt: skip
-
-
-def _source(recorded: Path, kind: str, folder: Path) -> Recording:
-    folder.mkdir(parents=True, exist_ok=True)
-    columns = folder / "columns.yaml"
-    columns.write_text(COLUMNS)
-    return sources.open_source(recorded / "robomimic.hdf5", None, (kind,), columns)
 
 
 def _core_seconds() -> float:
