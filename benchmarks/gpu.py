@@ -370,9 +370,8 @@ def pictured(sensor: str, quality: str, device: str, count: int = 10) -> str:
     asked = [f"sensor={sensor}", f"quality={quality}", "outputs=[force, rgb]"]
     (row,) = plan.load(assets.recipe_path("quickstart"), asked).rows
     renderer = Renderer(row.sensor, row.recipe.resolved().spp, 0, row.sensor.markers is not None)  # type: ignore[arg-type]
-    if not tensor_drawing.drawable(renderer):
+    if not (isinstance(renderer.light, Clear) and tensor_drawing.drawable(renderer)):
         return "not drawn on a GPU"
-    assert isinstance(renderer.light, Clear)
     random, direct = np.random.default_rng(0), renderer.light.direct
     dents = random.uniform([2.5, 0.2, -3, -3], [5.0, 0.6, 3, 3], (count, 4))
     faces = [BallDent(radius, share * radius, (x, y), renderer.untouched) for radius, share, x, y in dents]

@@ -1,4 +1,4 @@
-"""The Wedge part of the bench `real` is left out where its photographs are not."""
+"""The Wedge part of the bench `real`: its photographs as `calibrate unit` takes them."""
 
 from pathlib import Path
 
@@ -9,16 +9,11 @@ from tacgen.calibrate import photos as reading
 from tacgen.recipe import loading
 
 
-def test_it_is_left_out_without_photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TACGEN_REFERENCE", str(tmp_path))
-    assert not real.wedge_here()
-
-
 @pytest.mark.slow
 def test_its_sensor_file_and_table_are_what_the_calibration_takes(tmp_path: Path) -> None:
     sensor, _ = loading.read_sensor(real.WEDGE_UNIT)
     assert (sensor.camera.width_px, sensor.camera.height_px) == real.WEDGE_SIZE
-    if not real.wedge_here():
+    if not (photographs.reference() / real.WEDGE / real.FORCES).is_file():
         pytest.skip(f"no photographs in {photographs.reference()}")
     real.wedge_laid_out(tmp_path)
     photos = reading.read_gauged(tmp_path, sensor.camera)
