@@ -67,7 +67,8 @@ def checked(recorded: Path, number: int, match: str, folder: Path, workers: int)
     """The line of an episode, and notes on its rows."""
     before, kind = _core_seconds(), KINDS[number % len(KINDS)].name
     folder.mkdir(parents=True, exist_ok=True)
-    (columns := folder / "columns.yaml").write_text(COLUMNS)
+    columns = folder / "columns.yaml"
+    columns.write_text(COLUMNS)
     source = sources.open_source(recorded / "robomimic.hdf5", None, (kind,), columns)
     asked = scenes.TouchChoice(match)
     prepared = scenes.prepare(source, FINGERS, asked, folder, range(number, number + 1), overwrite=True)

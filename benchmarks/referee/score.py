@@ -56,7 +56,7 @@ def score(case: Case, said: Answer, judged: Judged) -> Score:
         normal=_list(abs(off[:, 2]) / size),
         tangential=_list(np.linalg.norm(off[:, :2], axis=1) / size),
         force=_list(np.linalg.norm(off, axis=1) / size),
-        own=_list(judged.force_error / size + 0 * off[:, 2]),
+        own=_list(np.where(np.isnan(off[:, 2]), np.nan, judged.force_error / size)),
         torque=_list(turned) if arm.max() > LEAST_TORQUE_MM * size.max() else [],
         pressure=_apart(said.pressure, right.pressure),
         traction=_apart(said.traction, right.traction) if case.friction else None,

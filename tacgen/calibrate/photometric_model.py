@@ -48,6 +48,9 @@ UNTOUCHED_PIXELS = 1200  # pixels of the untouched picture that are compared, ab
 MAX_COMPARED_LIGHT = 0.95  # of full scale; brighter pixels are not compared
 # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
 MAX_RESPONSE_SLOPE = 1500.0
+# length of an LED, over that of another one of its colour, below which it stands for light that comes back from walls:
+# real LEDs of one colour are about as long as one another [-]
+MAX_REFLECTION_LENGTH_RATIO = 0.5
 LED_PARAMETERS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
 SPECULAR, FACTOR = 0.1, 1.5  # tolerance of the specular weight; factor of an LED's length, roughness and vignette
 MIN_LED_CLEARANCE_MM = 0.02  # smallest distance of LEDs from the housing and the untouched face [mm]
@@ -96,7 +99,10 @@ def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
 def _reflection(led: Led, leds: Sequence[Led]) -> bool:
     """Whether an LED stands for light that another one's surroundings give back: a longer one has the same colour. Few
     pixels see it, so its radiance alone is fitted."""
-    return any(np.argmax(led.light) == np.argmax(one.light) and one.size_mm[0] > 2 * led.size_mm[0] for one in leds)
+    return any(
+        np.argmax(led.light) == np.argmax(one.light) and led.size_mm[0] < MAX_REFLECTION_LENGTH_RATIO * one.size_mm[0]
+        for one in leds
+    )
 
 
 class PhotometricModel:
