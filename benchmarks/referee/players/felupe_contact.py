@@ -10,8 +10,8 @@ from scipy import sparse
 from benchmarks.referee.case import Array, Pose
 from benchmarks.referee.players.felupe_pad import Pad
 
-PUSH, HOLD = 20.0, 4.0  # stiffness along the normal, and of stick, before they are corrected [MPa/mm]
-TRIES, FORCE_N = 13, 1e-5  # Newton's steps; largest force that is left at a node
+PUSH, HOLD = 5.0, 4.0  # stiffness along the normal, and of stick, before they are corrected [MPa/mm]
+TRIES, FORCE_N = 20, 1e-5  # Newton's steps; largest force that is left at a node
 Touch = tuple[Array, Array, Array]  # pressure (q,), friction (q, 3) in the shape's frame [MPa], where it sticks (q, 1)
 
 

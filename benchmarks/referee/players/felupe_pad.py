@@ -10,16 +10,16 @@ from benchmarks.referee.case import PAD_MM, POISSONS, YOUNGS_MPA, Array, Case
 # Small elements as far as these places along x and y [mm], and their sizes as parts of the edge asked for.
 FINE_MM = {"ball": (2.2, 2.2), "punch": (3.3, 3.3), "edge": (1.2, 4.2), "ring": (4.0, 4.0)}
 SIZES = {"ball": (1.0, 1.0), "punch": (0.6, 0.6), "edge": (0.4, 1.2), "ring": (0.6, 0.6)}
-UNDER, GROWTH, LARGEST_MM = 0.6, 1.6, 3.0  # height of the first elements, a part of the edge; how sizes grow, to what
+UNDER, GROWTH, LARGEST = 0.6, 1.3, 1.6  # height of the first elements and largest size, as parts of the edge; growth
 TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # by 90 degrees about z
 TOP, NEAR_MM = [4, 5, 6, 7, 12, 13, 14, 15], 1e-9  # nodes of the upper face of a hex of 20; of a plane
 
 
-def axis(reach: float, size: float, end: float) -> Array:
-    """Coordinates from 0 to `end` [mm], in steps of this size as far as `reach`, then growing."""
+def axis(reach: float, size: float, end: float, largest: float) -> Array:
+    """Coordinates from 0 to `end` [mm], in steps of this size as far as `reach`, then growing to the largest."""
     at = list(np.linspace(0, reach, max(round(reach / size), 1) + 1))
     while end - at[-1] > 2.2 * (at[-1] - at[-2]):
-        at.append(at[-1] + min(GROWTH * (at[-1] - at[-2]), LARGEST_MM))
+        at.append(at[-1] + min(GROWTH * (at[-1] - at[-2]), largest))
     return np.array([*at, end])
 
 
@@ -27,7 +27,7 @@ class Pad:
     """The part of the pad that a case's symmetries leave: points (n, 3) [mm]; field and solid of FElupe; displacements
     (3n, m) of those that are free, and (3q, 3n) at the q points of Gauss of the face, of `area` (q,) [mm^2] each."""
 
-    def __init__(self, case: Case, edge: float) -> None:
+    def __init__(self, case: Case, edge: float, points: int) -> None:
         import felupe as fem
 
         moves = {name for name, *v in zip(case.poses[0]._fields, *case.poses, strict=True) if any(v)}
@@ -38,12 +38,12 @@ class Pad:
         slid, along = (max(pose.x for pose in case.poses), 0.0), []
         for k in (0, 1):
             reach, size, end = FINE_MM[case.shape][k], edge * SIZES[case.shape][k], PAD_MM[k] / 2
-            half = np.zeros(0) if k in self.mirrors or self.turned else -axis(reach, size, end)[:0:-1]
-            along.append(np.concatenate([half, axis(reach + slid[k], size, end)]))
-        deep = -axis(UNDER * edge, UNDER * edge, PAD_MM[2])[::-1]
+            half = np.zeros(0) if k in self.mirrors or self.turned else -axis(reach, size, end, LARGEST * edge)[:0:-1]
+            along.append(np.concatenate([half, axis(reach + slid[k], size, end, LARGEST * edge)]))
+        deep = -axis(UNDER * edge, UNDER * edge, PAD_MM[2], LARGEST * edge)[::-1]
         mesh = fem.mesh.Grid(*along, deep).add_midpoints_edges()
         self.points = x = mesh.points
-        region = fem.RegionQuadraticHexahedron(mesh, quadrature=fem.GaussLegendre(1, 3))
+        region = fem.RegionQuadraticHexahedron(mesh, quadrature=fem.GaussLegendre(points - 1, 3))
         self.field = fem.FieldContainer([fem.Field(region, dim=3)])
         law = fem.NeoHooke(YOUNGS_MPA / 2 / (1 + POISSONS), YOUNGS_MPA / 3 / (1 - 2 * POISSONS))
         self.solid = fem.SolidBody(law, self.field)

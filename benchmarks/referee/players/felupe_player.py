@@ -15,15 +15,15 @@ from benchmarks.referee.playing import Settings, Simulator, answer
 from benchmarks.reference_runs import row_of
 from tacgen.recipe import scene_of_row
 
-DEFAULT = {"edge_mm": 0.9, "steps": 4}
-LAST, LEAST = 3, 1 / 64  # corrections of the multipliers in a judged frame; the shortest step, a part of a frame
+DEFAULT = {"edge_mm": 0.9, "steps": 4, "points": 2}
+LAST, LEAST = 5, 1 / 64  # corrections of the multipliers in a judged frame; the shortest step, a part of a frame
 
 
 def run(case: Case, how: Settings) -> Answer:
-    """Play with elements of this size under the contact, and with so many steps a frame."""
+    """Play with elements of this size under the contact, so many steps a frame, and points of Gauss along an edge."""
     if case.mass_kg:
         raise NotPlayed("a free body between two pads was not set up")
-    start, shape, pad = time.process_time(), scene_of_row.build(row_of(case.recipe)).shape, Pad(case, how["edge_mm"])
+    start, shape, pad = time.process_time(), scene_of_row.build(row_of(case.recipe)).shape, Pad(case, how["edge_mm"], how["points"])
     last, found, moved, u, rate = Pose(z=case.clearance), [], [], np.zeros(3 * len(pad.points)), 0.0
     y = (pad.at @ pad.points.ravel()).reshape(-1, 3) - last[:3]
     kept: Touch = np.zeros(len(y)), np.zeros_like(y), np.zeros((len(y), 1), bool)
