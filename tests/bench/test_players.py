@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.referee import reference, tune
-from benchmarks.referee.case import CASES, Case, Pose, dots
+from benchmarks.referee.case import CASES, PAD_MM, Case, Pose, dots
 from benchmarks.referee.player import NotPlayed
 from benchmarks.referee.players import (
     MODULES,
@@ -19,6 +19,7 @@ from benchmarks.referee.players import (
     mujoco_rigid,
     newton_hydroelastic,
     players,
+    uipc_parts,
 )
 from benchmarks.referee.playing import Simulator, answer, place, speed, steps
 from benchmarks.reference_runs import row_of
@@ -33,7 +34,7 @@ def test_players_without_packages_say_so(name: str) -> None:
     for player in players(name):
         assert player.settings[0] == "default"
         why = player.available()
-        told = ("not installed: ", "its distance fields are built on a CUDA GPU")
+        told = ("not installed: ", "its distance fields are built on a CUDA GPU", "needs a CUDA GPU")
         assert (why is None or why.startswith(told)) != (name == "not_run")
 
 
@@ -127,6 +128,16 @@ def test_a_hydroelastic_contact_pushes_into_the_pad(first: int) -> None:
     at, force = newton_hydroelastic._normal(SimpleNamespace(**told), Pose(x=1.0, z=-1.0).matrix)
     np.testing.assert_allclose(at, [[1.0, 0, -0.05]], atol=1e-9)
     np.testing.assert_allclose(force, [[0, 0, -0.2]], atol=1e-9)
+
+
+def test_five_tetrahedra_a_box_fill_the_pad_and_meet_face_to_face() -> None:
+    points, tets = uipc_parts.tetrahedra(2.0)
+    volumes = np.linalg.det(points[tets[:, 1:]] - points[tets[:, :1]]) / 6
+    assert volumes.min() > 0
+    assert volumes.sum() == pytest.approx(np.prod(PAD_MM))
+    faces = np.sort(tets[:, [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]].reshape(-1, 3))
+    counts = np.unique(faces, axis=0, return_counts=True)[1]
+    assert np.bincount(counts).tolist() == [0, 560, 1720]  # two on each square outside, and those that two share
 
 
 def test_the_search_finds_the_least_error() -> None:

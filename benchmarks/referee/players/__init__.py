@@ -16,6 +16,7 @@ MODULES = {
     "genesis_fem": "genesis_fem",
     "felupe": "felupe_player",
     "fots": "fots",
+    "libuipc": "uipc",
     "not_run": "not_run",
 }
 
