@@ -63,7 +63,7 @@ def entries(player: Player, cases: Sequence[Case], tell: Say) -> Iterator[dict[s
                 said = player.play(case, setting)
                 its = score(case, said, reference.kept()[case.name])
                 told = told or said.settings
-                played[case.name] = {**asdict(its), "resolved": its.resolved}
+                played[case.name] = {**asdict(its), "resolved": its.resolved, "force_N": said.force.round(5).tolist()}
                 far = f"{max(its.force):.2%} of the force" if its.force else "no force"
                 tell(f"{player.name}, {setting}, {case.name}: {far}, {its.seconds:.2f} s")
             except NotPlayed as error:

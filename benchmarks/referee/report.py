@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results_page
-from benchmarks.referee import reference
+from benchmarks.referee import reference, set_up
 from benchmarks.referee.case import CASES
 from benchmarks.results_page import Cell, Plot, Result, Series, Table, columns
 
 PAGE, NAME = "referee.md", "referee"
-OURS = "tacgen"
+OURS, JUDGE = "tacgen", "FElupe"
 SHOWN = 2  # tables on the page, the first ones
 LEFT = "Left out: what is worse than to say 0."
 LEAST_DIFFERENCE = 0.001  # of mean errors of the force that is told [-]
@@ -94,12 +94,22 @@ def label(entry: Entry) -> str:
 
 def tables(entries: Sequence[Entry]) -> list[Table]:
     """Players; the errors of the force by case; the references; settings; who did not run."""
-    ran = [one for one in entries if one["setting"]]
+    ran = [one for one in entries if one["setting"] and (scores(one) or one["player"] != JUDGE)]
+    minutes = set_up.kept()
     rows: list[list[Cell]] = []
     for one in ran:
         numbers: list[Cell] = [float(how(v)) if (v := values(one, part)) else None for _, part, how in MEANS]
-        rows.append([one["player"], one["setting"], len(scores(one)), *numbers, "GPU" if on_gpu(one) else None])
-    heads = columns("player", "setting", "cases: d", *(head for head, *_ in MEANS), "on")
+        rows.append(
+            [
+                one["player"],
+                one["setting"],
+                len(scores(one)),
+                *numbers,
+                minutes.get(one["player"]),
+                "GPU" if on_gpu(one) else None,
+            ]
+        )
+    heads = columns("player", "setting", "cases: d", *(head for head, *_ in MEANS), "minutes to set up: .1f", "on")
     by_case: list[list[Cell]] = [
         [label(one), *(float(np.mean(one["cases"][c.name]["force"])) if c.name in scores(one) else None for c in CASES)]
         for one in ran

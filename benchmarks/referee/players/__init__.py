@@ -14,6 +14,7 @@ MODULES = {
     "newton_hydroelastic": "newton_hydroelastic",
     "genesis_rigid": "genesis_rigid",
     "genesis_fem": "genesis_fem",
+    "calculix": "calculix_player",
     "felupe": "felupe_player",
     "fots": "fots",
     "libuipc": "uipc",
