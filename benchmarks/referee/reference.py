@@ -15,9 +15,12 @@ from benchmarks.results_page import ROOT, Say
 from tacgen.base.errors import UserError
 
 FORCES, MAPS = ROOT / "docs/results/referee_reference.json", ROOT / "docs/results/referee_reference.npz"
-# Settings of FElupe, the reference first. On one mesh reduced integration is too soft, full integration too stiff.
-SMOOTH = ({"edge_mm": 0.45, "steps": 4, "points": 2}, {"edge_mm": 0.45, "steps": 4, "points": 3})
-FRICTION = tuple({"edge_mm": 0.64, "steps": steps, "points": points} for steps, points in ((8, 2), (4, 2), (4, 3)))
+# Sizes of FElupe's elements by shape, and its settings, the reference first: without friction, and with it. On one mesh
+# reduced integration (2 points of Gauss along an edge) is too soft, full integration (3) too stiff.
+SMOOTH_MM = {"ball": 0.45, "punch": 0.45, "ring": 0.45, "edge": 0.64}
+FRICTION_MM = {"ball": 0.64, "punch": 0.64, "edge": 0.9}
+SMOOTH = ({"steps": 4, "points": 2}, {"steps": 4, "points": 3})
+FRICTION = ({"steps": 8, "points": 2}, *SMOOTH)
 CLOSED = "closed form"
 PARTS = ("pressure", "traction", "markers")
 
@@ -46,7 +49,8 @@ def judged(case: Case) -> Judged:
     ours = felupe_player.PLAYERS[0]
     if ours.available():
         raise UserError("the reference needs FElupe: pip install felupe pypardiso")
-    played = [ours.run(case, how) for how in (FRICTION if case.friction else SMOOTH)]
+    sizes, ways = (FRICTION_MM, FRICTION) if case.friction else (SMOOTH_MM, SMOOTH)
+    played = [ours.run(case, {"edge_mm": sizes[case.shape]} | how) for how in ways]
     apart = ([getattr(a, part) - getattr(b, part) for a, b in pairwise(played)] for part in ("force", "torque"))
     judge = f"{ours.name} ({ours.version()})"
     return Judged(judge, played[0], *(np.linalg.norm(each, axis=-1).sum(0) for each in apart))
