@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.calibrate import contact_circle, robust_least_squares, solved_presses, steps
+from tacgen.calibrate import contact_circle, robust_least_squares, solved_presses, steps, untouched_drift
 from tacgen.calibrate.cross_validation import Fitted, HeldOutPresses, determined, folds, rms
 from tacgen.calibrate.photometric_model import FitLimits, PhotometricModel
 from tacgen.calibrate.photos import PhotographedPress, Photos
@@ -41,6 +41,7 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits:
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
     presses, faces = solved_presses.faced(sensor, photos.presses, folders)
+    presses = untouched_drift.removed(presses, photos.untouched)
     return fit_faces(sensor, replace(photos, presses=presses), faces, limits)
 
 
