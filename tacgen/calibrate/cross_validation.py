@@ -106,11 +106,11 @@ class Fitted:
     before: float  # the same before the fit
     presses: float | None = None  # of the change under the presses, all of them seen by this fit
     deeper: float = 1.0  # factor on all given depths
-    drift: float = 0.0  # between the photograph of the untouched sensor and those of presses, which is left out
     unseen: HeldOutPresses | None = None  # None: too few presses to hold any out
     ridge: float | None = None  # weight of the sensor file's values that suits unseen presses best
     determined: Mapping[str, float] = field(default_factory=dict)  # share of each parameter, see `determined`
     interrupted: str = ""  # what Ctrl-C has left out
+    drift: float = 0.0  # between the photograph of the untouched sensor and those of presses, which is left out
 
 
 def _gain(scores: Array) -> tuple[float, float]:
