@@ -11,7 +11,7 @@ from scipy import ndimage
 from benchmarks.results_page import ROOT
 from tacgen.calibrate import contact_circle
 from tacgen.calibrate.photos import PhotographedPress
-from tacgen.calibrate.render_comparison import PictureOfPress, near
+from tacgen.calibrate.render_comparison import PictureOfPress
 from tacgen.render.photograph import read
 
 Array = np.ndarray
@@ -35,7 +35,6 @@ DIGIT = {  # centre and radius of the contact [px], and depth [mm]: solved faces
 NINE = ("ball_R4mm_rectified.png", 4.0, (245.0, 189.5), 1.78)  # radius [mm], centre [px], depth [mm]
 DARK = 0.15  # a dot is darker than its surroundings by this share
 WIDTH, RIM = 21, 3  # side of a square larger than a dot, and width of its rim [px]
-REST = 2.7  # contact radii from a press beyond which its picture shows the untouched gel; fans of shadow reach so far
 FILL = 4.0  # standard deviation of the Gaussian by which hidden pixels are filled [px]
 
 
@@ -68,15 +67,6 @@ def unit(name: str, folder: Path | None = None) -> Unit | None:
     elif name in MINIS:
         presses = [contact_circle.refined(press, untouched) for press in presses]
     return Unit(folder, untouched, tuple(presses), tuple(hidden))
-
-
-def drift(unit: Unit) -> Array:
-    """Mean change (H, W, 3) [counts] of pictures of presses far from their contacts against the untouched one; where
-    none is far, the mean of that. Streaks and fans move in the minutes between two photographs."""
-    change = np.array([press.picture - unit.untouched.astype(float) for press in unit.presses])
-    touched = np.array([near(press, REST) for press in unit.presses])[..., None]
-    found = np.ma.masked_array(change, np.broadcast_to(touched, change.shape)).mean(axis=0)
-    return np.asarray(np.where(found.mask, found.mean(axis=(0, 1)), found.data))
 
 
 def as_drawn(name: str, folder: Path) -> list[PhotographedPress]:

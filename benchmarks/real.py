@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks import photographs
 from benchmarks.photographs import MINIS, SENSORS, Unit
 from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
-from tacgen.calibrate import normal_net, render_comparison, solved_presses
+from tacgen.calibrate import normal_net, render_comparison, solved_presses, untouched_drift
 from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, learned
@@ -29,14 +29,15 @@ from tacgen.sensor.model import LitSensor
 Array = np.ndarray
 ABOUT = (
     "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
-    " between the ball's normals and those of a network trained on rendered dents; beside it, on the same presses"
-    " rendered with noise (what a perfect sensor file would reach), also with the drift of the untouched picture that"
-    " photographs show far from contacts, of networks trained on the unit's other presses, and of the flat face."
+    " between the ball's normals and those of a network trained on rendered dents, without the drift of the untouched"
+    " picture that photographs show far from contacts; beside it, on the pictures as they are, on the same presses"
+    " rendered with noise (what a perfect sensor file would reach), of networks trained on the unit's other presses,"
+    " and of the flat face."
     " Contrast: change of colour per slope of the ball, rendered over real. LEDs were fitted to some of these presses."
 )
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
          "correlation red: .2f", "of green: .2f", "of blue: .2f")  # fmt: skip
-PAIRS = ("rendered to real", "rendered to rendered", "the same with drift", "real to real, left out")
+PAIRS = ("rendered to real", "with drift", "rendered to rendered", "real to real, left out")
 SPP = 64
 OTHERS = (3.0, 5.0)  # radii [mm] of the balls from which the table of grey to depth for 9DTact is made
 CONTACT = 2.4  # radius [mm] around the centre within which the ball is certainly in contact
@@ -81,18 +82,19 @@ def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
     normals, colours = list[list[Cell]](), list[list[Cell]]()
     for name, one in units.items():
         sensor = sensor_of(name)
-        compared, random, drift = Comparison(sensor), np.random.default_rng(0), photographs.drift(one)
-        faces = [solved_presses.face(sensor, press, {}) for press in one.presses]
-        net = compared.net(one.presses)
-        like = compared.likeness(one.presses, faces, one.untouched, net)
-        pairs = list(zip(one.presses, faces, strict=True))
-        real = [compared.photographed(press, face, one.untouched) for press, face in pairs]
-        made = [compared.rendered(press, face, random) for press, face in pairs]
-        drifted = np.mean([a.off(net.normals(replace(a, change=a.change + drift).features)) for a in made])
+        compared, presses = Comparison(sensor), untouched_drift.removed(one.presses, one.untouched)
+        faces = [solved_presses.face(sensor, press, {}) for press in presses]
+        net = compared.net(presses)
+        like = compared.likeness(presses, faces, one.untouched, net)
+        drifted, real = (
+            [compared.photographed(press, face, one.untouched) for press, face in zip(some, faces, strict=True)]
+            for some in (one.presses, presses)
+        )
+        as_is = float(np.mean([a.off(net.normals(a.features)) for a in drifted]))
         lost = None
         if level != "smoke":  # networks trained on all other presses
             lost = float(np.mean([a.off(learned([b for b in real if b is not a]).normals(a.features)) for a in real]))
-        normals.append([name, len(real), like.flat, like.normals, like.noisy, float(drifted), lost])
+        normals.append([name, len(real), like.flat, like.normals, as_is, like.noisy, lost])
         colours.append([name, *map(float, (*like.contrast, *like.direction, *like.correlation))])
         say(f"{name}: {like}")
     heads = columns("sensor", "presses", "flat [deg]: .1f", *(f"{what} [deg]: .1f" for what in PAIRS))

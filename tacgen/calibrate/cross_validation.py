@@ -110,6 +110,7 @@ class Fitted:
     ridge: float | None = None  # weight of the sensor file's values that suits unseen presses best
     determined: Mapping[str, float] = field(default_factory=dict)  # share of each parameter, see `determined`
     interrupted: str = ""  # what Ctrl-C has left out
+    drift: float = 0.0  # between the photograph of the untouched sensor and those of presses, which is left out
 
 
 def _gain(scores: Array) -> tuple[float, float]:

@@ -44,6 +44,8 @@ class Calibrated(SensorFit):
         yield f"untouched: off by {fitted.untouched:.1f} counts rms (before the fit: {fitted.before:.1f})"
         if fitted.presses is not None:
             yield f"change under the presses: off by {fitted.presses:.1f} counts rms"
+        if fitted.drift:
+            yield f"drift of the untouched picture, far from the presses, left out: {fitted.drift:.1f} counts rms"
         if (unseen := fitted.unseen) is None:
             if not fitted.interrupted:
                 yield "not judged: fewer than two presses, so none can be left out of a fit"
@@ -68,7 +70,9 @@ class Calibrated(SensorFit):
     def plain(self) -> dict[str, Any]:
         """Report as JSON values."""
         fitted = self.fitted
-        errors = {name: getattr(fitted, name) for name in ("untouched", "before", "presses", "deeper", "ridge")}
+        errors = {
+            name: getattr(fitted, name) for name in ("untouched", "before", "presses", "drift", "deeper", "ridge")
+        }
         unseen = None if fitted.unseen is None else fitted.unseen.plain()
         return {"sensor": self.sensor.name, **errors, "unseen": unseen, "determined": dict(fitted.determined),
                 "changes": self.changed}  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.calibrate import contact_circle, robust_least_squares, solved_presses, steps
+from tacgen.calibrate import contact_circle, robust_least_squares, solved_presses, steps, untouched_drift
 from tacgen.calibrate.cross_validation import Fitted, HeldOutPresses, determined, folds, rms
 from tacgen.calibrate.photometric_model import FitLimits, PhotometricModel
 from tacgen.calibrate.photos import PhotographedPress, Photos
@@ -41,7 +41,10 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits:
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
     presses, faces = solved_presses.faced(sensor, photos.presses, folders)
-    return fit_faces(sensor, replace(photos, presses=presses), faces, limits)
+    steady = untouched_drift.removed(presses, photos.untouched)
+    drift = [a.picture.astype(float) - b.picture for a, b in zip(presses, steady, strict=True)]
+    fitted = fit_faces(sensor, replace(photos, presses=steady), faces, limits)
+    return replace(fitted, drift=rms(drift) if drift else 0.0)
 
 
 def fit_faces(

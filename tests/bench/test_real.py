@@ -1,7 +1,6 @@
 """The population is drawn around three units, and its networks are scored on presses that they have not seen."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,6 @@ from benchmarks import photographs, real, summary
 from benchmarks.real import Samples
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.normal_net import NormalNet
-from tacgen.calibrate.photos import PhotographedPress
 from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, circle
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
@@ -120,21 +118,6 @@ def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
     made = Samples.of(one)
     assert made.slopes.shape == (one.where.sum(), 2)
     assert made.features.shape == (one.where.sum(), 5)
-
-
-def test_the_drift_of_an_untouched_picture_is_seen_far_from_the_presses() -> None:
-    """Presses are bright far out, but not at 2.7 contact radii; the middle between them has one that is far."""
-    untouched, shape = np.full((60, 90, 3), 50, np.uint8), (60, 90)
-    drifted = untouched + np.linspace(0, 9, 90).astype(np.uint8)[:, None]
-    presses = []
-    for center in ((25.0, 30.0), (65.0, 30.0)):
-        picture = drifted + 100 * circle(shape, center, 25.0)[..., None].astype(np.uint8)
-        presses.append(PhotographedPress("", picture, 3.0, center, 10.0, None))
-    unit = photographs.Unit(Path(), untouched, tuple(presses), ())
-    assert np.array_equal(photographs.drift(unit)[:, 55:], (drifted - untouched)[:, 55:])
-    both = circle(shape, (25.0, 30.0), 27.0) & circle(shape, (65.0, 30.0), 27.0)
-    assert both.any()
-    assert np.ptp(photographs.drift(unit)[both]) == 0
 
 
 def test_dots_are_not_smoothed_into_what_is_seen() -> None:

@@ -20,6 +20,7 @@ from helpers.photographed import (
     written,
 )
 from helpers.tiny import PLAIN, cloudy, sensor
+from PIL import Image
 
 from tacgen.base.errors import UserError
 from tacgen.calibrate import optics, photos, solved_presses
@@ -85,6 +86,24 @@ def test_powers_are_found_by_contacts_that_cover_the_picture(nominal: Path, tmp_
     powers = [sum(a.light) / sum(b.light) for a, b in zip(found.fitted.sensor.leds, found.sensor.leds, strict=True)]
     assert powers == pytest.approx(true, rel=0.03)
     assert found.fitted.unseen.counts[1].mean() < 0.3 * found.fitted.unseen.counts[0].mean()
+
+
+@pytest.mark.usefixtures("no_normals")
+def test_light_that_drifts_between_untouched_picture_and_presses_is_left_out_and_told(
+    nominal: Path, tmp_path: Path
+) -> None:
+    unit = sensor(camera=FINE, markers=None)
+    folders = [photographed(unit, tmp_path / name) for name in ("steady", "warm")]
+    for path in folders[1].glob("*.png"):
+        if path.name != "background.png":
+            warmer = np.asarray(Image.open(path)).astype(int) + np.array([6, 0, 0])
+            Image.fromarray(np.clip(warmer, 0, 255).astype(np.uint8)).save(path)
+    steady, warm = (optics.optics(str(nominal), folder, FitLimits(0, 0)) for folder in folders)
+    assert steady.fitted.drift < 1.0
+    assert warm.fitted.drift == pytest.approx(6 / np.sqrt(3), abs=0.5)
+    assert f"left out: {warm.fitted.drift:.1f} counts rms" in "\n".join(warm.lines())
+    for one, other in zip(warm.fitted.sensor.leds, steady.fitted.sensor.leds, strict=True):
+        assert one.light == pytest.approx(other.light, rel=0.02, abs=0.05)
 
 
 @pytest.mark.slow
