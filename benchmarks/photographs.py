@@ -119,13 +119,14 @@ def refined(press: PhotographedPress, untouched: Array, hidden: Array) -> Photog
 
 
 def filled(change: Array, hidden: Array) -> Array:
-    """A change of colour (H, W, 3) with hidden pixels (H, W) filled from around them."""
+    """Colours (H, W, 3) with hidden pixels (H, W) filled from around them."""
     seen = (~hidden).astype(float)[..., None]
     around = [ndimage.gaussian_filter(part, (FILL, FILL, 0)) for part in (change * seen, seen)]
     return np.where(hidden[..., None], around[0] / np.maximum(around[1], 1e-9), change)
 
 
 def without(press: PictureOfPress, hidden: Array) -> PictureOfPress:
-    """A press without the pixels that are hidden; their change is filled, so that smoothing does not spread it."""
-    kept, change = ~hidden[press.where], filled(press.change, hidden)
-    return PictureOfPress(change, press.where & ~hidden, press.slopes[kept], press.flat[kept])
+    """A press without the pixels that are hidden; their colours are filled, so that smoothing does not spread it."""
+    kept = ~hidden[press.where]
+    change, untouched = (filled(one, hidden) for one in (press.change, press.untouched))
+    return PictureOfPress(change, untouched, press.where & ~hidden, press.slopes[kept], press.flat[kept])

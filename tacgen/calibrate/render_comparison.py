@@ -33,6 +33,7 @@ class PictureOfPress:
     """One press in a picture."""
 
     change: Array  # against the untouched picture (H, W, 3) [counts]
+    untouched: Array  # that picture (H, W, 3) [counts]
     where: Array  # (H, W) bool: inside the contact circle
     slopes: Array  # x and y of the ball's unit normals there, (n, 2)
     flat: Array  # the same of the untouched face, (n, 2)
@@ -40,7 +41,7 @@ class PictureOfPress:
     @property
     def features(self) -> Array:
         """Inputs of the network inside the contact circle (n, 5)."""
-        return normal_net.features(self.change, self.where)
+        return normal_net.features(self.change, self.untouched, self.where)
 
     def off(self, slopes: Array) -> float:
         """Mean angle [deg] between the ball's normals and others (n, 2)."""
@@ -187,7 +188,7 @@ class Comparison:
         slopes = self._slopes(face)
         inside = circle(untouched.shape[:2], center, SLOPE_CONTACT_SHARE * contact, self.sensor.camera.aspect)
         where = inside & np.isfinite(slopes + self._level).all(axis=2)
-        return PictureOfPress(picture.astype(float) - untouched, where, slopes[where], self._level[where])
+        return PictureOfPress(picture.astype(float) - untouched, untouched, where, slopes[where], self._level[where])
 
     def _slopes(self, face: Surface) -> Array:
         """Slopes of the face behind each pixel: x and y of its unit normals (H, W, 2)."""

@@ -140,12 +140,13 @@ def test_the_drift_of_an_untouched_picture_is_seen_far_from_the_presses() -> Non
 def test_dots_are_not_smoothed_into_what_is_seen() -> None:
     shape = (64, 80)
     change, hidden, where = np.full((*shape, 3), 20.0), circle(shape, (40.0, 30.0), 6.0), circle(shape, (40, 30), 14.0)
-    change[hidden] = -80.0
+    untouched = np.full_like(change, 100.0)
+    change[hidden], untouched[hidden] = -80.0, 15.0
     slopes = np.zeros((where.sum(), 2))
-    seen = photographs.without(PictureOfPress(change, where, slopes, slopes), hidden)
+    seen = photographs.without(PictureOfPress(change, untouched, where, slopes, slopes), hidden)
     assert not (seen.where & hidden).any()
     assert len(seen.slopes) == seen.where.sum() == len(seen.features)
-    assert seen.features[:, :3] * normal_net.COUNTS_PER_INPUT_UNIT == pytest.approx(20.0)
+    assert seen.features[:, :3] * normal_net.CHANGE_PER_INPUT_UNIT == pytest.approx(0.2)
 
 
 def test_dots_are_found_in_uneven_light() -> None:
