@@ -6,7 +6,8 @@ differ, cancel; fitted by L-BFGS to least squares with weight decay. Small enoug
 same samples. One network alone depends on its start, so the normals are the mean of several, each with a start and
 samples of its own (bagging, Breiman 1996). The decay is inversely proportional to the number of presses: pixels of one
 press are alike, so presses, not pixels, are what a prior of the weights is weighed against. Noise is added to the
-colours in training, as a unit is never quite like its file; it makes the network smoother (Bishop 1995). All settings were chosen on rendered dents that the network had not seen (docs/OPTICS.md).
+colours in training, as a unit is never quite like its file; it makes the network smoother (Bishop 1995). All settings
+were chosen on rendered dents that the network had not seen (docs/OPTICS.md).
 """
 
 from collections.abc import Sequence
