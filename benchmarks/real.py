@@ -14,7 +14,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from benchmarks import photographs
-from benchmarks.photographs import MINIS, SENSORS, Unit
+from benchmarks.photographs import MINIS, RECIPE, SENSORS, Unit, sensor_of
 from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import normal_net, render_comparison, solved_presses
 from tacgen.calibrate import unit as calibration
@@ -22,7 +22,7 @@ from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, learned
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
-from tacgen.recipe import assets, loading, plan
+from tacgen.recipe import assets, plan
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
@@ -40,7 +40,6 @@ PAIRS = ("rendered to real", "rendered to rendered", "the same with drift", "rea
 SPP = 64
 OTHERS = (3.0, 5.0)  # radii [mm] of the balls from which the table of grey to depth for 9DTact is made
 CONTACT = 2.4  # radius [mm] around the centre within which the ball is certainly in contact
-RECIPE = "many_units"
 FILES = dict(zip(MINIS, ("gelsight_mini", "gelsight_mini_second", "gelsight_mini_third"), strict=True))
 DENTS = 4  # of each drawn unit
 PARTS = 3  # into which a unit's presses are divided, to train on the others
@@ -67,7 +66,7 @@ def bench(level: Level, say: Say) -> Result:
     clear = {name: one for name, one in units.items() if name != "ninedtact"}
     tables = _pictures(clear, level, say)
     whole = level != "smoke"
-    if whole and all(map(photographs.unit, MINIS)):
+    if whole and all(map(photographs.there, MINIS)):
         tables.append(population(say))
     if "ninedtact" in units and whole:
         tables.append(_depth(units["ninedtact"], say))
@@ -211,12 +210,6 @@ def population(say: Say) -> Table:
         say(f"{name}: {', '.join(f'{cell:.1f}' for cell in cells[2:] if isinstance(cell, float))}")
     heads = columns("unit", "presses", "flat: .1f", *(f"{what}: .1f" for what in TRAINED))
     return Table("A population on a unit that it has not seen", heads, found, NOTE)
-
-
-def sensor_of(name: str) -> LitSensor:
-    """The sensor file of a unit, shipped or of the population."""
-    beside = assets.recipe_path(RECIPE).parent / "units" / f"{name}.yaml"
-    return cast(LitSensor, loading.read_sensor(beside if beside.is_file() else assets.sensor_path(name))[0])
 
 
 def wedge_laid_out(out: Path) -> None:
