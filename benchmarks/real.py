@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from benchmarks import photographs
+from benchmarks import grain, photographs
 from benchmarks.photographs import MINIS, RECIPE, SENSORS, Unit, sensor_of
 from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import normal_net, render_comparison, solved_presses
@@ -47,8 +47,8 @@ TRAINED = ("other units' population", "own file", "own photographs, left out")
 NOTE = (
     f"Mean error of the normals [deg], by a network trained on the units that {RECIPE} draws around the files of the"
     " two other units; on the file that was fitted to the unit itself; and on two thirds of the unit's own photographs."
-    " Plate, lobes and colour matrix of all files were found on the first unit; contact circles of the dotted one were"
-    " drawn by hand."
+    " Plate, lobes and colour matrix of all files were found on the first unit; contact circles were drawn by hand and"
+    " refined by another unit's lamps."
 )
 
 WEDGE, FORCES = "gelsight_wedge", "forces.csv"
@@ -67,7 +67,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = _pictures(clear, level, say)
     whole = level != "smoke"
     if whole and all(map(photographs.there, MINIS)):
-        tables.append(population(say))
+        tables += [population(say), grain.table([undotted(name) for name in MINIS[:2]])]
     if "ninedtact" in units and whole:
         tables.append(_depth(units["ninedtact"], say))
     if whole and (photographs.reference() / WEDGE / FORCES).is_file():
@@ -183,6 +183,13 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, fl
     presses = [photographs.without(*pair) for pair in zip(seen, unit.hidden, strict=True)]
     flat = float(np.mean([one.off(one.flat) for one in presses]))
     return [Samples.of(one) for one in presses], flat, compared.deepest(unit.presses)
+
+
+def undotted(name: str) -> tuple[str, Unit, list[Surface], Comparison]:
+    """A unit without dots, its faces and the renderer of its file."""
+    unit, sensor = photographs.unit(name), sensor_of(FILES[name])
+    assert unit is not None
+    return name, unit, [solved_presses.face(sensor, press, {}) for press in unit.presses], Comparison(sensor)
 
 
 def left_out(presses: Sequence[Samples]) -> float:
