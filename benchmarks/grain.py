@@ -36,8 +36,8 @@ def correlations(excess: Array) -> list[Cell]:
 
 
 def table(units: list[tuple[str, Unit, list[Surface], Comparison]]) -> Table:
-    """Grain of each unit and band: rms in the dent, photographed over rendered; and correlations of the colours in what the
-    photographed dent has more than the gel at rest."""
+    """Grain of each unit and band: rms in the dent, photographed over rendered; and correlations of the colours in what
+    the photographed dent has more than the gel at rest."""
     rows: list[list[Cell]] = []
     for name, unit, faces, compared in units:
         random = np.random.default_rng(0)
@@ -58,6 +58,6 @@ def table(units: list[tuple[str, Unit, list[Surface], Comparison]]) -> Table:
     note = (
         f"Change within {DENT:g} contact radii, without its trend, photographed over rendered; and correlations of what"
         f" it has beyond the change at {FAR:g} contact radii. Reflectance alone has"
-        " 1. Rendered dents are those of a formula, whose points move along z alone; the second unit's file has no grain."
+        " 1. Rendered dents are those of a formula, whose points move along z alone; the second file has no grain."
     )
     return Table("Grain in dents", heads, rows, note)
