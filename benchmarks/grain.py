@@ -1,4 +1,4 @@
-"""Grain in and around photographed dents, by width and by what the colours have in common.
+"""Grain in photographed dents, by width and by what the colours have in common.
 
 Reflectance that differs from place to place changes all colours alike. Relief of the skin turns the normal, so that two
 colours change as their changes per slope do: red against blue in a Mini, whose lamps face each other.
@@ -9,14 +9,17 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.photographs import Unit
 from benchmarks.results_page import Cell, Table, columns
-from tacgen.calibrate.render_comparison import Comparison, circle
+from tacgen.calibrate.render_comparison import Comparison, near
 from tacgen.optics.surface_grid import Surface, Untouched
 
 Array = np.ndarray
 BANDS_PX = ((0.6, 1.2), (1.2, 2.4), (2.4, 4.8))  # widths of the Gaussians whose difference is a band [px]
 DENT, FAR = 0.8, 3.5  # contact radii within which is the dent, and beyond which the gel is at rest
 TREND_DEGREE = 4  # of the polynomial in x and y that is taken away in a dent: its shape, not its grain
-PAIRS = ((0, 1), (0, 2), (1, 2))  # of colours
+NOTE = (
+    f"Change within {DENT:g} contact radii, without its trend: rms, photographed over rendered by a formula that moves"
+    f" the face along z; and correlations of what photographs have there beyond {FAR:g} radii. Reflectance has 1."
+)
 
 
 def covariance(change: Array, where: Array, band: tuple[float, float]) -> Array:
@@ -29,35 +32,29 @@ def covariance(change: Array, where: Array, band: tuple[float, float]) -> Array:
     return np.asarray(np.cov((values - trend @ np.linalg.lstsq(trend, values, rcond=None)[0]).T))
 
 
-def correlations(excess: Array) -> list[Cell]:
-    """Correlation of red and green, red and blue, green and blue in a covariance (3, 3)."""
-    deviation = np.sqrt(np.maximum(np.diag(excess), 1e-9))
-    return [float(np.clip(excess[pair] / (deviation[pair[0]] * deviation[pair[1]]), -1, 1)) for pair in PAIRS]
+def total(changes: list[Array], where: list[Array], band: tuple[float, float]) -> Array:
+    """Sum of the covariances of changes (3, 3)."""
+    return np.sum([covariance(*pair, band) for pair in zip(changes, where, strict=True)], axis=0)
 
 
-def table(units: list[tuple[str, Unit, list[Surface], Comparison]]) -> Table:
-    """Grain of each unit and band: rms in the dent, photographed over rendered; and correlations of the colours in what
-    the photographed dent has more than the gel at rest."""
-    rows: list[list[Cell]] = []
-    for name, unit, faces, compared in units:
-        random = np.random.default_rng(0)
-        flat = compared.picture(Untouched.of(compared.sensor.gel), random).astype(float)
-        pairs = [(press.picture - unit.untouched.astype(float), compared.picture(face, random) - flat)
-                 for press, face in zip(unit.presses, faces, strict=True)]  # fmt: skip
-        for band in BANDS_PX:
-            dent, rest = np.zeros((2, 3, 3)), np.zeros((3, 3))
-            for press, changes in zip(unit.presses, pairs, strict=True):
-                inside, touched = (circle(flat.shape[:2], press.center, share * (press.contact or 0.0), press.aspect)
-                                   for share in (DENT, FAR))  # fmt: skip
-                dent += [covariance(one, inside, band) for one in changes]
-                rest += covariance(changes[0], ~touched, band)
-            ratio = np.sqrt(np.diag(dent[0]) / np.diag(dent[1])).tolist()
-            rows.append([name, f"{band[0]:g} to {band[1]:g}", *ratio, *correlations(dent[0] - rest)])
+def rows(name: str, unit: Unit, faces: list[Surface], compared: Comparison) -> list[list[Cell]]:
+    """Rows of the table of a unit: rms, and correlations of the colours."""
+    random, found = np.random.default_rng(0), list[list[Cell]]()
+    real = [press.picture - unit.untouched.astype(float) for press in unit.presses]
+    flat = compared.picture(Untouched.of(compared.sensor.gel), random).astype(float)
+    made = [compared.picture(face, random) - flat for face in faces]
+    inside = [near(press, DENT) for press in unit.presses]
+    rest = [~near(press, FAR) for press in unit.presses]
+    for band in BANDS_PX:
+        there, ours = (total(part, inside, band) for part in (real, made))
+        excess = there - total(real, rest, band)
+        spread = np.sqrt(np.maximum(np.diag(excess), 1e-9))
+        alike = [float(excess[a, b] / (spread[a] * spread[b])) for a, b in ((0, 1), (0, 2), (1, 2))]
+        found.append([name, f"{band[0]:g} to {band[1]:g}", *np.sqrt(np.diag(there) / np.diag(ours)).tolist(), *alike])
+    return found
+
+
+def table(found: list[list[Cell]]) -> Table:
+    """Grain of all units."""
     named = "rms red", "of green", "of blue", "red and green", "red and blue", "green and blue"
-    heads = columns("unit", "band [px]", *(f"{one}: .2f" for one in named))
-    note = (
-        f"Change within {DENT:g} contact radii, without its trend, photographed over rendered; and correlations of what"
-        f" it has beyond the change at {FAR:g} contact radii. Reflectance alone has"
-        " 1. Rendered dents are those of a formula, whose points move along z alone; the second file has no grain."
-    )
-    return Table("Grain in dents", heads, rows, note)
+    return Table("Grain in dents", columns("unit", "band [px]", *(f"{one}: .2f" for one in named)), found, NOTE)

@@ -67,7 +67,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = _pictures(clear, level, say)
     whole = level != "smoke"
     if whole and all(map(photographs.there, MINIS)):
-        tables += [population(say), grain.table([undotted(name) for name in MINIS[:2]])]
+        tables += [population(say), grain.table(undotted(MINIS[0]) + undotted(MINIS[1]))]
     if "ninedtact" in units and whole:
         tables.append(_depth(units["ninedtact"], say))
     if whole and (photographs.reference() / WEDGE / FORCES).is_file():
@@ -185,11 +185,12 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, fl
     return [Samples.of(one) for one in presses], flat, compared.deepest(unit.presses)
 
 
-def undotted(name: str) -> tuple[str, Unit, list[Surface], Comparison]:
-    """A unit without dots, its faces and the renderer of its file."""
+def undotted(name: str) -> list[list[Cell]]:
+    """Grain of a unit without dots."""
     unit, sensor = photographs.unit(name), sensor_of(FILES[name])
     assert unit is not None
-    return name, unit, [solved_presses.face(sensor, press, {}) for press in unit.presses], Comparison(sensor)
+    faces = [solved_presses.face(sensor, press, {}) for press in unit.presses]
+    return grain.rows(name, unit, faces, Comparison(sensor))
 
 
 def left_out(presses: Sequence[Samples]) -> float:
