@@ -34,7 +34,7 @@ def covariance(change: Array, where: Array, band: tuple[float, float]) -> Array:
 
 def total(changes: list[Array], where: list[Array], band: tuple[float, float]) -> Array:
     """Sum of the covariances of changes (3, 3)."""
-    return np.sum([covariance(*pair, band) for pair in zip(changes, where, strict=True)], axis=0)
+    return np.asarray(np.sum([covariance(*pair, band) for pair in zip(changes, where, strict=True)], axis=0))
 
 
 def rows(name: str, unit: Unit, faces: list[Surface], compared: Comparison) -> list[list[Cell]]:
