@@ -4,20 +4,26 @@ import csv
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from scipy import ndimage
 
 from benchmarks.results_page import ROOT
-from tacgen.calibrate import contact_circle
+from tacgen.calibrate.contact_circle import LampChanges, refined
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.calibrate.render_comparison import PictureOfPress
+from tacgen.recipe import assets, loading
 from tacgen.render.photograph import read
+from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 SENSORS = ("gelsight_mini", "digit", "ninedtact")  # whose shipped files are compared with photographs
 DOTTED = "gelsight_mini_dotted"
 MINIS = ("gelsight_mini", "gelsight_mini_unit2", DOTTED)
+# whose lamps show where the contacts are: those of another unit
+LAMPS = {"gelsight_mini": "gelsight_mini_second", "gelsight_mini_unit2": "gelsight_mini", DOTTED: "gelsight_mini"}
+RECIPE = "many_units"  # the files of other units lie beside it
 UNTOUCHED = {"ninedtact": "reference_rectified.png"} | dict.fromkeys((*MINIS, "digit"), "background.png")
 # centre and radius of the contact [px], start values of the refinement: circles.csv has that of the bright part alone
 MINI = {"ball_6.310mm_5.png": (279.5, 30.0, 34.0)}
@@ -54,18 +60,24 @@ def reference() -> Path:
     return Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
+def there(name: str, folder: Path | None = None) -> bool:
+    """Whether there are photographs of a unit."""
+    return ((folder or reference()) / name / UNTOUCHED[name]).is_file()
+
+
 def unit(name: str, folder: Path | None = None) -> Unit | None:
-    """The photographs of a unit; None if there are none. Circles on flat gels, drawn by eye, are refined."""
-    folder = (folder or reference()) / name
-    if not (folder / UNTOUCHED[name]).is_file():
+    """The photographs of a unit; None if there are none. Circles on flat gels, drawn by eye, are refined by
+    another unit's lamps."""
+    if not there(name, folder):
         return None
+    folder = (folder or reference()) / name
     untouched, presses = read(folder / UNTOUCHED[name]), as_drawn(name, folder)
     hidden = [np.zeros(untouched.shape[:2], bool) for _ in presses]
     if name == DOTTED:
         hidden = [dark(untouched) | dark(press.picture) for press in presses]
-        presses = [refined(press, untouched, where) for press, where in zip(presses, hidden, strict=True)]
-    elif name in MINIS:
-        presses = [contact_circle.refined(press, untouched) for press in presses]
+    if name in MINIS:
+        lamps = LampChanges(sensor_of(LAMPS[name]))
+        presses = [placed(press, untouched, lamps, where) for press, where in zip(presses, hidden, strict=True)]
     return Unit(folder, untouched, tuple(presses), tuple(hidden))
 
 
@@ -101,21 +113,28 @@ def dark(picture: Array) -> Array:
     return np.asarray(ndimage.binary_dilation((ground - grey) / np.maximum(ground, 1.0) > DARK, iterations=RIM))
 
 
-def refined(press: PhotographedPress, untouched: Array, hidden: Array) -> PhotographedPress:
+def placed(press: PhotographedPress, untouched: Array, lamps: LampChanges, hidden: Array) -> PhotographedPress:
     """The press with its contact circle, found beside the dots; rims are filled from around them."""
     change = filled(press.picture.astype(float) - untouched, hidden)
-    found = contact_circle.refined(replace(press, picture=untouched + change), untouched, hidden)
+    found = refined(replace(press, picture=untouched + change), untouched, lamps, hidden)
     return replace(found, picture=press.picture)
 
 
+def sensor_of(name: str) -> LitSensor:
+    """The sensor file of a unit, shipped or of the population."""
+    beside = assets.recipe_path(RECIPE).parent / "units" / f"{name}.yaml"
+    return cast(LitSensor, loading.read_sensor(beside if beside.is_file() else assets.sensor_path(name))[0])
+
+
 def filled(change: Array, hidden: Array) -> Array:
-    """A change of colour (H, W, 3) with hidden pixels (H, W) filled from around them."""
+    """Colours (H, W, 3) with hidden pixels (H, W) filled from around them."""
     seen = (~hidden).astype(float)[..., None]
     around = [ndimage.gaussian_filter(part, (FILL, FILL, 0)) for part in (change * seen, seen)]
     return np.where(hidden[..., None], around[0] / np.maximum(around[1], 1e-9), change)
 
 
 def without(press: PictureOfPress, hidden: Array) -> PictureOfPress:
-    """A press without the pixels that are hidden; their change is filled, so that smoothing does not spread it."""
-    kept, change = ~hidden[press.where], filled(press.change, hidden)
-    return PictureOfPress(change, press.where & ~hidden, press.slopes[kept], press.flat[kept])
+    """A press without the pixels that are hidden; their colours are filled, so that smoothing does not spread it."""
+    kept = ~hidden[press.where]
+    change, untouched = (filled(one, hidden) for one in (press.change, press.untouched))
+    return PictureOfPress(change, untouched, press.where & ~hidden, press.slopes[kept], press.flat[kept])

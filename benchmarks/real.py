@@ -13,8 +13,8 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from benchmarks import photographs
-from benchmarks.photographs import MINIS, SENSORS, Unit
+from benchmarks import grain, photographs
+from benchmarks.photographs import MINIS, RECIPE, SENSORS, Unit, sensor_of
 from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import normal_net, render_comparison, solved_presses, untouched_drift
 from tacgen.calibrate import unit as calibration
@@ -22,7 +22,7 @@ from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, learned
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
-from tacgen.recipe import assets, loading, plan
+from tacgen.recipe import assets, plan
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
@@ -41,7 +41,6 @@ PAIRS = ("rendered to real", "with drift", "rendered to rendered", "real to real
 SPP = 64
 OTHERS = (3.0, 5.0)  # radii [mm] of the balls from which the table of grey to depth for 9DTact is made
 CONTACT = 2.4  # radius [mm] around the centre within which the ball is certainly in contact
-RECIPE = "many_units"
 FILES = dict(zip(MINIS, ("gelsight_mini", "gelsight_mini_second", "gelsight_mini_third"), strict=True))
 DENTS = 4  # of each drawn unit
 PARTS = 3  # into which a unit's presses are divided, to train on the others
@@ -49,8 +48,8 @@ TRAINED = ("other units' population", "own file", "own photographs, left out")
 NOTE = (
     f"Mean error of the normals [deg], by a network trained on the units that {RECIPE} draws around the files of the"
     " two other units; on the file that was fitted to the unit itself; and on two thirds of the unit's own photographs."
-    " Plate, lobes and colour matrix of all files were found on the first unit; contact circles of the dotted one were"
-    " drawn by hand."
+    " Plate, lobes and colour matrix of all files were found on the first unit; contact circles were drawn by hand and"
+    " refined by another unit's lamps."
 )
 
 WEDGE, FORCES = "gelsight_wedge", "forces.csv"
@@ -68,8 +67,8 @@ def bench(level: Level, say: Say) -> Result:
     clear = {name: one for name, one in units.items() if name != "ninedtact"}
     tables = _pictures(clear, level, say)
     whole = level != "smoke"
-    if whole and all(map(photographs.unit, MINIS)):
-        tables.append(population(say))
+    if whole and all(map(photographs.there, MINIS)):
+        tables += [population(say), grain.table(undotted(MINIS[0]) + undotted(MINIS[1]))]
     if "ninedtact" in units and whole:
         tables.append(_depth(units["ninedtact"], say))
     if whole and (photographs.reference() / WEDGE / FORCES).is_file():
@@ -188,6 +187,14 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, fl
     return [Samples.of(one) for one in presses], flat, compared.deepest(unit.presses)
 
 
+def undotted(name: str) -> list[list[Cell]]:
+    """Grain of a unit without dots."""
+    unit, sensor = photographs.unit(name), sensor_of(FILES[name])
+    assert unit is not None
+    faces = [solved_presses.face(sensor, press, {}) for press in unit.presses]
+    return grain.rows(name, unit, faces, Comparison(sensor))
+
+
 def left_out(presses: Sequence[Samples]) -> float:
     """Error of networks trained on a unit's own photographs, each part of them left out once [deg]."""
     parts = [presses[k::PARTS] for k in range(PARTS)]
@@ -213,12 +220,6 @@ def population(say: Say) -> Table:
         say(f"{name}: {', '.join(f'{cell:.1f}' for cell in cells[2:] if isinstance(cell, float))}")
     heads = columns("unit", "presses", "flat: .1f", *(f"{what}: .1f" for what in TRAINED))
     return Table("A population on a unit that it has not seen", heads, found, NOTE)
-
-
-def sensor_of(name: str) -> LitSensor:
-    """The sensor file of a unit, shipped or of the population."""
-    beside = assets.recipe_path(RECIPE).parent / "units" / f"{name}.yaml"
-    return cast(LitSensor, loading.read_sensor(beside if beside.is_file() else assets.sensor_path(name))[0])
 
 
 def wedge_laid_out(out: Path) -> None:

@@ -1,12 +1,13 @@
 """The photometric-stereo network that users of such sensors train: change of colour and pixel position -> normal.
 
 Three hidden layers of 64 rectified units, as in the SDK of the Mini's maker (gelsightinc/gsrobotics, RGB2NormNet), for
-pictures smoothed by a Gaussian; fitted by L-BFGS to least squares with weight decay. Small enough for NumPy, and the
-same bytes for the same samples. One network alone depends on its start, so the normals are the mean of several, each
-with a start and samples of its own (bagging, Breiman 1996). The decay is inversely proportional to the number of
-presses: pixels of one press are alike, so presses, not pixels, are what a prior of the weights is weighed against.
-Noise is added to the colours in training, as a unit is never quite like its file; it makes the network smoother (Bishop
-1995). All settings were chosen on rendered dents that the network had not seen (docs/OPTICS.md).
+pictures smoothed by a Gaussian, over the untouched picture: power of the lamps and gain of the camera, in which units
+differ, cancel; fitted by L-BFGS to least squares with weight decay. Small enough for NumPy, and the same bytes for the
+same samples. One network alone depends on its start, so the normals are the mean of several, each with a start and
+samples of its own (bagging, Breiman 1996). The decay is inversely proportional to the number of presses: pixels of one
+press are alike, so presses, not pixels, are what a prior of the weights is weighed against. Noise is added to the
+colours in training, as a unit is never quite like its file; it makes the network smoother (Bishop 1995). All settings
+were chosen on rendered dents that the network had not seen (docs/OPTICS.md).
 """
 
 from collections.abc import Sequence
@@ -20,9 +21,10 @@ from scipy.optimize import minimize
 Array = np.ndarray
 HIDDEN_UNITS = (64, 64, 64)  # units of the hidden layers
 CHANGE_BLUR_PX = 2.0  # standard deviation of the Gaussian by which a change is smoothed [px]
-COUNTS_PER_INPUT_UNIT = 40.0  # change of colour that is scaled to 1 at the input [counts]
+CHANGE_PER_INPUT_UNIT = 0.4  # change of colour that is scaled to 1 at the input, over the untouched colour [-]
+MIN_UNTOUCHED_COUNTS = 8.0  # untouched colour at least by which a change is divided: below is noise [counts]
 WEIGHT_DECAY = 0.01  # factor of the squared weights in the loss, times the number of presses
-TRAINING_NOISE_COUNTS = 3.0  # standard deviation of the noise on smoothed colours in training [counts]
+TRAINING_NOISE = 0.03  # standard deviation of the noise on smoothed relative changes in training [-]
 MAX_LBFGS_STEPS = 300  # iterations of L-BFGS at most
 ENSEMBLE_SIZE = 4  # networks whose outputs are averaged
 TRAINING_SAMPLES = 2000  # training samples of each, about
@@ -60,7 +62,7 @@ def _member(presses: Sequence[tuple[Array, Array]], random: np.random.Generator)
         [part[some] for part in press] for press in presses for some in [random.permutation(len(press[0]))[:each]]
     ]
     x, wanted = (np.concatenate(part).astype(np.float32) for part in zip(*chosen, strict=True))
-    x[:, :3] += random.normal(0, TRAINING_NOISE_COUNTS / COUNTS_PER_INPUT_UNIT, (len(x), 3))
+    x[:, :3] += random.normal(0, TRAINING_NOISE / CHANGE_PER_INPUT_UNIT, (len(x), 3))
     sizes = (x.shape[1], *HIDDEN_UNITS, 2)
     start = [random.standard_normal((a + 1, b)) / np.sqrt(a) for a, b in pairwise(sizes)]
     cuts = np.cumsum([w.size for w in start])[:-1]
@@ -85,12 +87,14 @@ def _member(presses: Sequence[tuple[Array, Array]], random: np.random.Generator)
     return tuple((w[:-1], w[-1]) for w in best)
 
 
-def features(change: Array, where: Array) -> Array:
-    """Inputs (n, 5) for the pixels `where` (H, W) bool: the change of colour (H, W, 3) [counts], smoothed, and the
-    position from -1 to 1 along the picture's width."""
+def features(change: Array, untouched: Array, where: Array) -> Array:
+    """Inputs (n, 5) for the pixels `where` (H, W) bool: the change of colour (H, W, 3) against the untouched picture
+    (H, W, 3) over that [counts], both smoothed, and the position from -1 to 1 along the picture's width."""
     (h, w), (y, x) = where.shape, np.nonzero(where)
-    change = gaussian_filter(change, (CHANGE_BLUR_PX, CHANGE_BLUR_PX, 0))
-    return np.column_stack([change[where] / COUNTS_PER_INPUT_UNIT, 2 * (x + 0.5) / w - 1, (2 * y + 1 - h) / w])
+    change, level = (gaussian_filter(one.astype(float), (CHANGE_BLUR_PX, CHANGE_BLUR_PX, 0))[where]
+                     for one in (change, untouched))  # fmt: skip
+    relative = change / np.maximum(level, MIN_UNTOUCHED_COUNTS)
+    return np.column_stack([relative / CHANGE_PER_INPUT_UNIT, 2 * (x + 0.5) / w - 1, (2 * y + 1 - h) / w])
 
 
 def degrees_apart(a: Array, b: Array) -> Array:

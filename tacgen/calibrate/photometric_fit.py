@@ -38,7 +38,8 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], limits:
     """Fit the radiance and, with presses, the other parameters, with the ridge that suits unseen presses best."""
     solved_presses.check(sensor, photos)
     if sensor.gel.dome is None:  # on a dome the rim is hidden by the change of shadows
-        refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
+        lamps = contact_circle.LampChanges(sensor)
+        refined = tuple(contact_circle.refined(press, photos.untouched, lamps) for press in photos.presses)
         photos = replace(photos, presses=refined)
     presses, faces = solved_presses.faced(sensor, photos.presses, folders)
     steady = untouched_drift.removed(presses, photos.untouched)

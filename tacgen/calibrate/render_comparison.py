@@ -2,7 +2,7 @@
 of normals in photographs by a network that was trained on rendered pictures (network: Wang et al. 2021)."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ TRAINING_DENTS = 192  # rendered dents that a network is trained on
 # radii [mm], contact radius over that, at most [mm]
 TRAINING_BALL_RADII_MM, TRAINING_CONTACT_SHARES, MAX_TRAINING_CONTACT_MM = (1.5, 5.5), (0.3, 0.75), 3.5
 LIKENESS_SPP = 16  # samples a pixel
+EVEN_LEVEL_COUNTS = 100.0  # about that of untouched pictures [counts]
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class PictureOfPress:
     """One press in a picture."""
 
     change: Array  # against the untouched picture (H, W, 3) [counts]
+    untouched: Array  # that picture (H, W, 3) [counts]
     where: Array  # (H, W) bool: inside the contact circle
     slopes: Array  # x and y of the ball's unit normals there, (n, 2)
     flat: Array  # the same of the untouched face, (n, 2)
@@ -40,7 +42,7 @@ class PictureOfPress:
     @property
     def features(self) -> Array:
         """Inputs of the network inside the contact circle (n, 5)."""
-        return normal_net.features(self.change, self.where)
+        return normal_net.features(self.change, self.untouched, self.where)
 
     def off(self, slopes: Array) -> float:
         """Mean angle [deg] between the ball's normals and others (n, 2)."""
@@ -150,7 +152,11 @@ class Comparison:
         self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array,
         net: NormalNet | None = None,
     ) -> Likeness:  # fmt: skip
-        """Likeness over presses with known contact circles; `net`: that of the presses, if it is made already."""
+        """Likeness over presses with known contact circles.
+
+        `net`: that of the presses, for changes over the untouched picture. Without one, changes are over an even level,
+        so that lamps of a wrong power count as an error of normals.
+        """
         each = list(zip(presses, faces, strict=True))
         real = [self.photographed(press, face, untouched) for press, face in each]
         made = [self.rendered(press, face) for press, face in each]
@@ -160,8 +166,13 @@ class Comparison:
         seen = ((size[:, 0] >= MIN_CONTRAST_CHANGE) | (size[:, 0] == size[:, 0].max(axis=0))) & (size[:, 0] > 0)
         around = [near(press, CORRELATED_CONTACT_RADII) for press in presses]
         alike = [_correlation(a.change[w], b.change[w]) for a, b, w in zip(real, made, around, strict=True)]
-        net, random = net or self.net(presses), np.random.default_rng(0)
+        random = np.random.default_rng(0)
         noisy = [self.rendered(press, face, random) for press, face in each]
+        if net is None:
+            level = np.full(untouched.shape, EVEN_LEVEL_COUNTS)
+            dents = self.dents(self.deepest(presses), TRAINING_DENTS)
+            net = learned(replace(one, untouched=level) for one in dents)
+            real, noisy = ([replace(one, untouched=level) for one in part] for part in (real, noisy))
         off, off_noisy = (np.array([a.off(net.normals(a.features)) for a in part]) for part in (real, noisy))
         return Likeness(
             _median(size[:, 1] / np.where(seen, size[:, 0], 1.0), seen), _median(turn, seen),
@@ -187,7 +198,7 @@ class Comparison:
         slopes = self._slopes(face)
         inside = circle(untouched.shape[:2], center, SLOPE_CONTACT_SHARE * contact, self.sensor.camera.aspect)
         where = inside & np.isfinite(slopes + self._level).all(axis=2)
-        return PictureOfPress(picture.astype(float) - untouched, where, slopes[where], self._level[where])
+        return PictureOfPress(picture.astype(float) - untouched, untouched, where, slopes[where], self._level[where])
 
     def _slopes(self, face: Surface) -> Array:
         """Slopes of the face behind each pixel: x and y of its unit normals (H, W, 2)."""

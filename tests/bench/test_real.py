@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import photographs, real, summary
+from benchmarks import grain, photographs, real, summary
 from benchmarks.real import Samples
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.normal_net import NormalNet
@@ -123,12 +123,13 @@ def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
 def test_dots_are_not_smoothed_into_what_is_seen() -> None:
     shape = (64, 80)
     change, hidden, where = np.full((*shape, 3), 20.0), circle(shape, (40.0, 30.0), 6.0), circle(shape, (40, 30), 14.0)
-    change[hidden] = -80.0
+    untouched = np.full_like(change, 100.0)
+    change[hidden], untouched[hidden] = -80.0, 15.0
     slopes = np.zeros((where.sum(), 2))
-    seen = photographs.without(PictureOfPress(change, where, slopes, slopes), hidden)
+    seen = photographs.without(PictureOfPress(change, untouched, where, slopes, slopes), hidden)
     assert not (seen.where & hidden).any()
     assert len(seen.slopes) == seen.where.sum() == len(seen.features)
-    assert seen.features[:, :3] * normal_net.COUNTS_PER_INPUT_UNIT == pytest.approx(20.0)
+    assert seen.features[:, :3] * normal_net.CHANGE_PER_INPUT_UNIT == pytest.approx(0.2)
 
 
 def test_dots_are_found_in_uneven_light() -> None:
@@ -144,3 +145,18 @@ def test_dots_are_found_in_uneven_light() -> None:
 def test_the_summary_tells_the_profile_of_9dtact() -> None:
     told = [text for _, text in summary._real({"Depth from grey": [{"profile off, of peak": 0.013}]})]
     assert told == ["9DTact 1.3%"]
+
+
+def test_grain_tells_reflectance_from_relief() -> None:
+    """Reflectance changes all colours alike; relief changes red against blue. A trend of the dent is no grain."""
+    random, where = np.random.default_rng(0), circle((120, 120), (60.0, 60.0), 40.0)
+    y, x = np.mgrid[:120, :120] / 120.0
+    even, relief = random.normal(0, 2.0, (2, 120, 120))
+    shape = 60 * np.stack([x**2, x * y, y], axis=2)
+    bands = [np.outer([1.0, 1.0, 1.0], [1.0, 1.0, 1.0]), np.outer([1.0, 0.0, -1.0], [1.0, 0.0, -1.0])]
+    for field, colours, wanted in ((even, (1, 1, 1), bands[0]), (relief, (1, 0, -1), bands[1])):
+        found = grain.covariance(field[..., None] * np.array(colours) + shape, where, (0.6, 1.2))
+        assert found / found[0, 0] == pytest.approx(wanted, abs=0.05)
+    twice = grain.covariance(2 * even[..., None] * np.ones(3) + shape, where, (0.6, 1.2))
+    once = grain.covariance(even[..., None] * np.ones(3) + shape, where, (0.6, 1.2))
+    assert np.sqrt(twice[0, 0] / once[0, 0]) == pytest.approx(2.0, abs=0.02)

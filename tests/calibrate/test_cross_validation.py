@@ -20,7 +20,7 @@ from tacgen.recipe import loading
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch, few_dents: None) -> None:
-    monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
+    monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched, lamps: press)
 
 
 def radiances(folder: Path, unit: Any, *options: object) -> Any:

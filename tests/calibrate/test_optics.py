@@ -289,7 +289,7 @@ def test_presses_may_give_depth_or_contact_or_both(
         return [(BallDent.seen(camera, press.ball, press.center, contact), contact * sensor.camera.mm_per_px)]
 
     monkeypatch.setattr(solved_presses, "_solved", solved)
-    monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
+    monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched, lamps: press)
     rows = []
     for k, (ball, center, contact) in enumerate(PRESSES[:3]):
         deep = given in ("depth", "both") or (given == "mixed" and k == 2)

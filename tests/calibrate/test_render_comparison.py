@@ -102,19 +102,19 @@ def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
 
 @pytest.mark.slow
 def test_noise_in_training_makes_the_network_smooth(monkeypatch):
-    """Normals that turn to and fro within few counts are learnt as their mean, which bears a colour that is off."""
+    """Normals that turn to and fro within small changes are learnt as their mean, which bears a colour that is off."""
     monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 300)
     monkeypatch.setattr(normal_net, "WEIGHT_DECAY", 1e-5)
     features = np.random.default_rng(1).uniform(-1, 1, (4000, 5))
-    waves = np.sin(2 * np.pi * normal_net.COUNTS_PER_INPUT_UNIT / 60 * features[:, 0])  # of 60 counts
+    waves = np.sin(2 * np.pi * normal_net.CHANGE_PER_INPUT_UNIT / 0.6 * features[:, 0])  # of 0.6
 
     def learnt(noise: float) -> float:
-        monkeypatch.setattr(normal_net, "TRAINING_NOISE_COUNTS", noise)
+        monkeypatch.setattr(normal_net, "TRAINING_NOISE", noise)
         net = normal_net.NormalNet.trained([(features, np.column_stack([waves / 3, 0 * waves]))])
         return float(3 * np.mean(net.normals(features)[:, 0] * waves) / np.mean(waves**2))
 
     assert learnt(0.0) > 0.8
-    assert learnt(10.0) == pytest.approx(np.exp(-((2 * np.pi * 10 / 60) ** 2) / 2), abs=0.1)
+    assert learnt(0.1) == pytest.approx(np.exp(-((2 * np.pi * 10 / 60) ** 2) / 2), abs=0.1)
 
 
 @pytest.mark.slow
@@ -129,11 +129,22 @@ def test_several_networks_that_differ_are_averaged(compared, monkeypatch):
 
 def test_changes_are_smoothed_and_places_are_not():
     """White noise has 1 / (2 sqrt(pi) SMOOTH) of its standard deviation left."""
-    noise = np.random.default_rng(0).normal(0, normal_net.COUNTS_PER_INPUT_UNIT, (80, 100, 3))
-    found = normal_net.features(noise, np.ones((80, 100), bool))
+    untouched = np.full((80, 100, 3), 50.0)
+    noise = np.random.default_rng(0).normal(0, 50 * normal_net.CHANGE_PER_INPUT_UNIT, untouched.shape)
+    found = normal_net.features(noise, untouched, np.ones((80, 100), bool))
     assert found[:, :3].std() == pytest.approx(1 / (2 * np.sqrt(np.pi) * normal_net.CHANGE_BLUR_PX), rel=0.1)
     assert (found[0, 3], found[-1, 3]) == pytest.approx((-0.99, 0.99))
     assert (found[0, 4], found[-1, 4]) == pytest.approx((-0.79, 0.79))
+
+
+def test_gain_and_power_of_the_lamps_cancel(unit):
+    """Colours are scaled by a factor each, as another unit's lamps would do."""
+    untouched, (press, *_), _ = unit
+    gain, here = np.array([0.6, 1.3, 0.9]), np.ones(untouched.shape[:2], bool)
+    change = press.picture.astype(float) - untouched
+    one, other = (normal_net.features(k * change, k * untouched, here) for k in (1.0, gain))
+    assert np.abs(one[:, :3]).max() > 0.5
+    assert other == pytest.approx(one, abs=1e-9)
 
 
 def test_degrees_apart():

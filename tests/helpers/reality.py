@@ -11,7 +11,7 @@ from tacgen.recipe import assets, loading
 def needs(name: str) -> pytest.MarkDecorator:
     """Skip where a sensor's photographs are absent."""
     reason = f"no photographs in {photographs.reference()} (set TACGEN_REFERENCE)"
-    return pytest.mark.skipif(photographs.unit(name) is None, reason=reason)
+    return pytest.mark.skipif(not photographs.there(name), reason=reason)
 
 
 def sensor(name: str):
