@@ -30,7 +30,7 @@ from tacgen.bundle import resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
-from tacgen.outputs import IMAGE_OUTPUTS
+from tacgen.outputs import IMAGE_OUTPUTS, STRESS_OUTPUTS
 from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
@@ -265,9 +265,12 @@ def scene_of(row: Row) -> Scene | str:
     if row.recipe.uncertainty is not None:  # its derivatives need the histories of load steps
         return "derivatives of labels"
     try:
-        return scene_of_row.build(row)
+        scene = scene_of_row.build(row)
     except UserError:
         return "the scene cannot be built"  # its worker says why
+    if scene.prony_terms and row.recipe.outputs & STRESS_OUTPUTS:  # internal variables are ten times as much as a frame
+        return "stress of a viscous gel"
+    return scene
 
 
 def _unfinished(rows: Sequence[Row], folder: Path, overwrite: bool) -> list[Row]:

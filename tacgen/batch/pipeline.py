@@ -16,6 +16,7 @@ from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.expected_error import Expected
+from tacgen.outputs import STRESS_OUTPUTS
 from tacgen.recipe import scene_checks, scene_of_row
 from tacgen.recipe.row import Row
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from tacgen.mechanics.grasp_balance import Held
 
-STRESS_OUTPUTS = {"stress", "surface_stress"}  # outputs that need the gel's elements
 # entries of the cache that take long, by the event that tells of them; tables come first of a sensor's images
 TOLD_ENTRIES = {compiled.COMPILED_ENTRY: "compiling", "untouched": "tracing", "table": "tracing"}
 # of a frame: each gel's state, and of a grasp what holds the object and the number of the finger

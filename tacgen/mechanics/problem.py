@@ -1,9 +1,10 @@
 """The discretised problem of a scene: elasticity, contact and linear solver of a mesh."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -64,17 +65,13 @@ class Problem:
             held = np.zeros((len(mesh.points), 3), bool)
             held[np.unique(mesh.facets["bonded"])] = True
         pat = pattern([mesh.cells], ~held)
-        elastic, folding, viscous = [], [], {}
+        elastic, folding = [], []
         for number, layer in enumerate(scene.gel.layers):
             some = elements(mesh.points, mesh.cells[mesh.layer == number])
             elastic.append(Elastic.on(pat, some, layer.law))
             folding.append(FoldingBarrier.on(pat, mesh.points, some, layer.law.mu))
-            if layer.prony and scene.duration is not None:
-                viscous[number] = Viscoelastic.of(elastic[number], layer.prony)
-        if scene.dynamics is not None or viscous:  # velocity is a difference of x over a short time
-            options = tighter(options)
         contact, parts = _contact(scene, mesh, pat), (tuple(elastic), tuple(folding))
-        ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, viscous=viscous, options=options)
+        ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, **_in_time(scene, elastic, options))
         if (d := scene.dynamics) is None:
             return ready
         from tacgen.fem.inertia import Body
@@ -91,7 +88,8 @@ class Problem:
             Elastic(elements(mesh.points, some[layer == number]), each.law)
             for number, each in enumerate(scene.gel.layers)
         )
-        return cls(mesh, elastic, (), _contact(scene, mesh, None), EMPTY_PATTERN, scene.friction, scene.edge)
+        contact, timed = _contact(scene, mesh, None), _in_time(scene, elastic, DEFAULT_OPTIONS)
+        return cls(mesh, elastic, (), contact, EMPTY_PATTERN, scene.friction, scene.edge, **timed)
 
     @cached_property
     def linear(self) -> linear_solvers.Solver:
@@ -153,6 +151,16 @@ class Problem:
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""
         return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
+
+
+def _in_time(scene: Scene, elastic: Sequence[Elastic], options: SolverOptions) -> dict[str, Any]:
+    """The viscoelastic layers of a scene with durations; and tighter options, since velocity is a difference of x over
+    a short time."""
+    layers = enumerate(scene.gel.layers) if scene.prony_terms else ()
+    viscous = {k: Viscoelastic.of(elastic[k], layer.prony) for k, layer in layers if layer.prony}
+    if scene.dynamics is not None or viscous:
+        options = tighter(options)
+    return {"viscous": viscous, "options": options}
 
 
 def _contact(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:

@@ -120,6 +120,11 @@ class Scene:
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
     match: Match | None = None  # what a table wants of frames
 
+    @property
+    def prony_terms(self) -> int:
+        """Terms of the longest Prony series of a layer; 0 without durations, since none has an effect then."""
+        return 0 if self.duration is None else max(len(layer.prony) for layer in self.gel.layers)
+
     @cached_property
     def overlaps(self) -> list[tuple[Overlap, Array]]:
         """How the indenter overlaps the untouched face in some of the frames, the last among them, and their poses."""

@@ -8,6 +8,7 @@ from torch import Tensor
 from tacgen.mechanics.measures import MIN_FORCE_SCALE_RATIO, dragged, imbalance
 from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reached
 from tacgen.mechanics.state import History
+from tacgen.tensor_engine import viscosity
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces
 from tacgen.tensor_engine.contact_newton import at_nodes
@@ -71,6 +72,7 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
         h_gap=forces.gap, h_kappa=t.kappa[s], h_rotation=t.rotation[s], h_position=t.position[s],
         h_least=torch.maximum(t.h_least[s], MIN_FORCE_SCALE_RATIO * forces.total),
     )  # fmt: skip
+    viscosity.relax(b, rows, s)
     mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s])
     numbers = torch.stack([t.offset[s], t.kappa[s], t.h_least[s], mean], 1)
     on_face = N, forces.normal, normal, friction, sliding, anchor, forces.gap

@@ -121,7 +121,7 @@ class Batch:
     X (B, n, 3) nodes at rest [mm]; exists (B, e); used (B, n) bool: nodes of cells that exist; free (n,) bool: nodes
     above the bonded base; N (q, 4) shape functions at a facet's points, areas (B, f, q) [mm^2]; (B,): dhat, eps, edge,
     reach [mm], friction; corners (q, 8): shape functions of a cell; patch (n,) bool: nodes to which `factors` can
-    condense.
+    condense; layer (B, e) of each cell. hexes: as the load step has them; at_rest: with the laws alone.
     """
 
     topology: Topology
@@ -133,6 +133,8 @@ class Batch:
     used: Tensor
     free: Tensor
     hexes: Hexes
+    at_rest: Hexes
+    layer: Tensor
     folding: FoldingBarriers
     shapes: Shapes
     N: Tensor
@@ -170,16 +172,20 @@ class Batch:
         contacts = [p.contact for p in problems]
         q = contacts[0].faces.areas.shape[1]
         exists, areas = np.zeros((B, e), bool), np.zeros((B, f, q))
-        table, moduli = np.zeros((B, e, 9)), np.ones((B, e))
+        table, moduli, layer = np.zeros((B, e, 9)), np.ones((B, e)), np.zeros((B, e), int)
         table[..., 0] = table[..., 5] = 1.0  # any law for void cells
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
             exists[k, place.cells], areas[k, place.facets] = True, contacts[k].faces.areas
+            layer[k, place.cells] = problem.mesh.layer
             laws = [part.law.coefficients for part in problem.elastic]
             table[k, place.cells] = np.array(laws)[problem.mesh.layer]
             moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
         nodes = number([place.points for place in places])
         there = torch.as_tensor(exists, device=device)
-        hexes = Hexes.on(topology, nodes, there, number(table))
+        hexes = at_rest = Hexes.on(topology, nodes, there, number(table))
+        if problems[0].viscous:
+            memory = hexes.weights.new_zeros(*hexes.weights.shape, 3, 3)
+            hexes = replace(at_rest, laws=at_rest.laws.clone(), memory=memory)
         folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))
         used, free = torch.zeros(nodes.shape[:2], dtype=torch.bool), torch.ones(topology.nodes, dtype=torch.bool)
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
@@ -190,7 +196,8 @@ class Batch:
         dhat = number([c.dhat for c in contacts])
         batch = cls(
             topology, problems[0].options, factors, [Slot(*each) for each in zip(problems, places, strict=True)],
-            nodes, there, used.to(device), free.to(device), hexes, folding,
+            nodes, there, used.to(device), free.to(device), hexes, at_rest,
+            torch.as_tensor(layer, device=device), folding,
             Shapes.of([c.shape for c in contacts], FLOAT_TYPE, device), number(contacts[0].faces.N),
             number(HEX_SHAPE_VALUES), number(areas), dhat,
             problems[0].options.slip * dhat, number([p.edge for p in problems]),
@@ -218,6 +225,8 @@ class Batch:
         of_nodes = ["h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y"]
         alone = ["h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy"]
         alone += ["c_offset", "c_length", "c_drift", "c_gap"]
+        if terms := max((len(part.tau) for p in self.scenes for part in p.problem.viscous.values()), default=0):
+            of_face |= {"h_internal": (terms, *F[1:], 3, 3), "h_isochoric": (*F[1:], 3, 3)}
         return Tensors(
             **{name: zeros(*shape) for name, shape in of_face.items()}, **{name: zeros(n, 3) for name in of_nodes},
             **{name: zeros() for name in alone},

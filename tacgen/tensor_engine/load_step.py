@@ -10,6 +10,7 @@ from tacgen.fem.potential import Projection
 from tacgen.mechanics.measures import ahead, onset
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import STICKING_SPRING_STIFFNESS
+from tacgen.tensor_engine import viscosity
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import gathered
@@ -25,6 +26,7 @@ def place(b: Batch, rows: list[int]) -> list[Outcome]:
         s, rotation=poses[:, :3, :3], position=poses[:, :3, 3], offset=t.h_offset[s], kappa=t.h_kappa[s],
         folds=torch.ones_like(t.folds[s]), motion=torch.zeros_like(t.motion[s]),
     )  # fmt: skip
+    viscosity.prepare(b, rows, s)
     contact = b.face(s, t.offset[s])
     gap = contact.gap(t.h_x[s])
     touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 from tacgen.mechanics import mesh
 from tacgen.mechanics.problem import points_along
@@ -14,6 +15,13 @@ from tacgen.tensor_engine import grids, scope
 from tacgen.tensor_engine.grids import GridPattern
 
 MIN_PART_SCENES = 12  # scenes of a part: fewer take about as long, as their longest one does
+
+
+class Kind(NamedTuple):
+    """Contact points along a facet's side, and terms of the longest Prony series."""
+
+    points: int = 0
+    prony_terms: int = 0
 
 
 @dataclass(frozen=True)
@@ -38,21 +46,21 @@ class Planned:
         return cls(number, scene, axes, pattern)
 
     @cached_property
-    def points(self) -> int:
-        """Contact points along a facet's side."""
-        return 0 if self.scene is None else points_along(self.scene)
+    def kind(self) -> Kind:
+        """What scenes that are solved together have in common beside their pattern."""
+        return Kind() if self.scene is None else Kind(points_along(self.scene), self.scene.prony_terms)
 
 
-def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, int], list[int]]:
-    """Places in the list of the scenes that are solved together: by their pattern, and the contact points along a
-    facet's side. share: whether scenes of some patterns are put into a larger one."""
-    out: dict[tuple[GridPattern, int], list[int]] = {}
-    for points in sorted({plan.points for plan in plans if plan.pattern}):
-        wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.points == points)
+def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, Kind], list[int]]:
+    """Places in the list of the scenes that are solved together: by their pattern and kind. share: whether scenes of
+    some patterns are put into a larger one."""
+    out: dict[tuple[GridPattern, Kind], list[int]] = {}
+    for kind in sorted({plan.kind for plan in plans if plan.pattern}):
+        wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.kind == kind)
         found = grids.merged(wanted) if share else {pattern: pattern for pattern in wanted}
         for k, plan in enumerate(plans):
-            if plan.pattern and plan.points == points:
-                out.setdefault((found[plan.pattern], points), []).append(k)
+            if plan.pattern and plan.kind == kind:
+                out.setdefault((found[plan.pattern], kind), []).append(k)
     return out
 
 

@@ -23,6 +23,7 @@ from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.multifrontal import Multifrontal
 from tacgen.tensor_engine.planning import Planned, pools
 from tacgen.tensor_engine.slot import PartOfStep
+from tacgen.tensor_engine.viscosity import BYTES_PER_TERM
 
 MAX_SLOTS = 1024  # more scenes at once are hardly faster
 # A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So put off are
@@ -140,11 +141,11 @@ def solved(
     """
     plans = [each if isinstance(each, Planned) else Planned.of((k, each)) for k, each in enumerate(scenes)]
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
-    for (pattern, _), group in pools(plans, share).items():  # each pool is gone before the next one is made
+    for (pattern, kind), group in pools(plans, share).items():  # each pool is gone before the next one is made
         some = [replace(plans[k], pattern=pattern) for k in group]
         tree, ready = dissected(pattern), map(PreparedScene.of, some)
         devices.cleared(device)
-        room = Room.of(tree, memory)
+        room = Room.of(tree, memory, kind.prony_terms)
         yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use, patient)
 
 
@@ -187,15 +188,18 @@ class Room:
     work: float
 
     @classmethod
-    def of(cls, tree: Dissection, memory: float) -> "Room":
+    def of(cls, tree: Dissection, memory: float, prony_terms: int = 0) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
         c, a, e = room_for(len(tree.patch)).values()
         # Schur complements now and at rest, and reduced; an inverse of the rest of the patch, and what couples both
         dense = 2 * c**2 + e**2 + e * a + a**2 + k**2 + k * c
         own = 4.0 * (tree.kept + dense) + BYTES_PER_CELL * cells + BYTES_PER_UNKNOWN * 3 * tree.pattern.size
+        viscous = (prony_terms + 2) * BYTES_PER_TERM * cells if prony_terms else 0  # with s and M
+        own += viscous
         each = dict.fromkeys(ALL_CELL_PHASES, float(WORK_BYTES_PER_CELL * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT_BYTES_PER_CELL * cells)
+        each |= {Phase.begin: 2.0 * viscous, Phase.admit: each[Phase.admit] + 2 * viscous}
         return cls(max(1, int(0.45 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:

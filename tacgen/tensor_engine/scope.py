@@ -9,7 +9,6 @@ def lacks(scene: Scene) -> str | None:
     wanted = {
         "a mesh of tets": scene.element != "hex",
         "inertia": scene.dynamics is not None,
-        "a viscous gel": scene.duration is not None and any(layer.prony for layer in scene.gel.layers),
         # it would solve them, at 3 frames a second on an H100 where six scenes are all there is: cores are faster
         "exact edges": isinstance(scene.shape, SharpField),
     }

@@ -175,13 +175,11 @@ def whole(made: Scene) -> list[State]:
 
 def test_what_the_engine_lacks_is_said() -> None:
     made = small(BALL, path((0, 0, -0.2)))
-    viscous = GelBody(6.0, 6.0, layers=(GelLayer(2.0, EXAMPLE_LAWS["yeoh"], 0.15, ((0.2, 0.1),)),))
     assert lacks(made) is None
     assert lacks(replace(made, duration=np.ones(1))) is None
     for changed, said in (
         (replace(made, element="tet"), "a mesh of tets"),
         (replace(made, dynamics=GelDynamics(1e-9, 0.0, 0.0, 1e-3)), "inertia"),
-        (replace(made, gel=viscous, duration=np.ones(1)), "a viscous gel"),
         (replace(made, shape=sharp_field()), "exact edges"),
     ):
         assert lacks(changed) == said
