@@ -125,7 +125,7 @@ class Stiffened:
 
     @property
     def coefficients(self) -> Array:
-        return stiffened(self.law.coefficients, np.array(self.times))
+        return np.asarray(stiffened(self.law.coefficients, np.array(self.times)))
 
 
 # An example of each law, all with mu = 0.05 MPa and kappa = 0.4 MPa at rest, for tests.

@@ -19,7 +19,7 @@ from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.options import DEFAULT_OPTIONS, SolverOptions, tighter
-from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.mechanics.state import History
 from tacgen.physics.contact import MIN_SLOPE
 
@@ -41,7 +41,7 @@ class Problem:
     """Elasticity, contact and linear solver of a mesh; mass, if the scene has dynamics; and the viscoelastic layers, if
     it has durations.
 
-    `longest` is the longest step in time [s].
+    `dynamics` are those of the scene, of which body is made where matrices are.
     """
 
     mesh: GelMesh
@@ -52,7 +52,7 @@ class Problem:
     friction: float
     edge: float  # [mm]
     body: "Body | None" = None
-    longest: float = math.inf
+    dynamics: GelDynamics | None = None
     viscous: dict[int, Viscoelastic] = field(default_factory=dict)  # by the layer's number
     options: SolverOptions = DEFAULT_OPTIONS
 
@@ -76,7 +76,7 @@ class Problem:
             return ready
         from tacgen.fem.inertia import Body
 
-        return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
+        return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta))
 
     @classmethod
     def of_known_frames(cls, scene: Scene, mesh: GelMesh, *, stress: bool = False) -> "Problem":
@@ -150,17 +150,17 @@ class Problem:
 
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""
-        return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
+        return 1 if self.dynamics is None else max(1, math.ceil(duration / self.dynamics.longest - 1e-9))
 
 
 def _in_time(scene: Scene, elastic: Sequence[Elastic], options: SolverOptions) -> dict[str, Any]:
-    """The viscoelastic layers of a scene with durations; and tighter options, since velocity is a difference of x over
-    a short time."""
+    """What depends on time in a scene with durations; and tighter options, since velocity is a difference of x over a
+    short time."""
     layers = enumerate(scene.gel.layers) if scene.prony_terms else ()
     viscous = {k: Viscoelastic.of(elastic[k], layer.prony) for k, layer in layers if layer.prony}
     if scene.dynamics is not None or viscous:
         options = tighter(options)
-    return {"viscous": viscous, "options": options}
+    return {"viscous": viscous, "dynamics": scene.dynamics, "options": options}
 
 
 def _contact(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:

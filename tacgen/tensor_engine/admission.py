@@ -8,7 +8,7 @@ from torch import Tensor
 from tacgen.mechanics.measures import MIN_FORCE_SCALE_RATIO, dragged, imbalance
 from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reached
 from tacgen.mechanics.state import History
-from tacgen.tensor_engine import viscosity
+from tacgen.tensor_engine import timed
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces
 from tacgen.tensor_engine.contact_newton import at_nodes
@@ -41,9 +41,11 @@ def _figures(b: Batch, s: Tensor) -> tuple[Tensor, None]:
 
 def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces) -> tuple[Tensor, Tensor]:
     """Residual at the free nodes and |indenter + base|, both (s,) over the contact force [-]."""
-    inner = b.gradient(s, x)[1]
+    inner = b.elastic(s, x)[1]
     outer = at_nodes(contact, -forces.force, x.shape[1])
     force = torch.maximum(torch.linalg.norm(outer.sum(1), dim=1), b.t.h_least[s])
+    if (inertia := b.inertia(s)) is not None:
+        outer = outer + inertia.gradient(x)
     return imbalance(inner, outer, ~b.free[None, :, None], force)
 
 
@@ -67,12 +69,12 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     friction = forces.force - N[..., None] * forces.normal
     flat = forces.normal.flatten(1, 2) @ contact.rotation
     x, normal = t.x[s], flat.view_as(forces.normal)
+    timed.keep(b, rows, s)
     t.put(
         s, h_error=x - t.first_order[s], h_motion=t.motion[s], h_x=x, h_offset=t.offset[s], h_N=N, h_anchor=anchor,
         h_gap=forces.gap, h_kappa=t.kappa[s], h_rotation=t.rotation[s], h_position=t.position[s],
         h_least=torch.maximum(t.h_least[s], MIN_FORCE_SCALE_RATIO * forces.total),
     )  # fmt: skip
-    viscosity.relax(b, rows, s)
     mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s])
     numbers = torch.stack([t.offset[s], t.kappa[s], t.h_least[s], mean], 1)
     on_face = N, forces.normal, normal, friction, sliding, anchor, forces.gap

@@ -22,6 +22,7 @@ from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import gathered, index_of, put
+from tacgen.tensor_engine.inertia import ManyBodies
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.reduction import PADDING_PLACE
 from tacgen.tensor_engine.replay import Replays
@@ -227,6 +228,9 @@ class Batch:
         alone += ["c_offset", "c_length", "c_drift", "c_gap"]
         if terms := max((len(part.tau) for p in self.scenes for part in p.problem.viscous.values()), default=0):
             of_face |= {"h_internal": (terms, *F[1:], 3, 3), "h_isochoric": (*F[1:], 3, 3)}
+        if self.inert:
+            of_face |= {"inertial": (n, 1), "drag": (n, 1), "corners": (F[1], 8), "damper": (F[1], 24, 24)}
+            of_face |= {"coasting": (n, 3), "h_velocity": (n, 3)}
         return Tensors(
             **{name: zeros(*shape) for name, shape in of_face.items()}, **{name: zeros(n, 3) for name in of_nodes},
             **{name: zeros() for name in alone},
@@ -308,6 +312,11 @@ class Batch:
             mine[: len(other)].copy_(other)
         self.shapes = replace(old, all=new.all)
 
+    @property
+    def inert(self) -> bool:
+        """Whether gels have inertia."""
+        return self.scenes[0].problem.dynamics is not None
+
     def problem(self, row: int) -> Problem:
         """The discretised problem of a scene."""
         return self.scenes[row].problem
@@ -330,12 +339,26 @@ class Batch:
 
     def energy(self, s: Tensor, x: Tensor) -> Tensor:
         """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""
-        return self.hexes.rows(s).energy(x) + self.barriers(s).energy(x)
+        energy, inertia = self.hexes.rows(s).energy(x) + self.barriers(s).energy(x), self.inertia(s)
+        return energy if inertia is None else energy + inertia.value(x)
 
     def gradient(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         """J (s, e, q), and the gradient of the energy (s, n, 3) [N]."""
+        (J, out), inertia = self.elastic(s, x), self.inertia(s)
+        return J, out if inertia is None else out + inertia.gradient(x)
+
+    def elastic(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """The same without inertia."""
         J, out = self.hexes.rows(s).gradient(x)
         return J, out + self.barriers(s).gradient(x)
+
+    def inertia(self, s: Tensor) -> ManyBodies | None:
+        """Inertia of the gels in their load steps; None: they have none."""
+        if not self.inert:
+            return None
+        t, free = self.t, self.free[:, None]
+        start, coasting, inertial, drag = gathered(s, t.h_x, t.coasting, t.inertial, t.drag)
+        return ManyBodies(start, coasting, inertial, drag, t.damper, s, self.topology, free)
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""

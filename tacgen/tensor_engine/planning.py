@@ -17,11 +17,12 @@ from tacgen.tensor_engine.grids import GridPattern
 MIN_PART_SCENES = 12  # scenes of a part: fewer take about as long, as their longest one does
 
 
-class Kind(NamedTuple):
-    """Contact points along a facet's side, and terms of the longest Prony series."""
+class PoolKind(NamedTuple):
+    """Contact points along a facet's side, terms of the longest Prony series, and whether gels have inertia."""
 
     points: int = 0
     prony_terms: int = 0
+    inert: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,15 +47,17 @@ class Planned:
         return cls(number, scene, axes, pattern)
 
     @cached_property
-    def kind(self) -> Kind:
+    def kind(self) -> PoolKind:
         """What scenes that are solved together have in common beside their pattern."""
-        return Kind() if self.scene is None else Kind(points_along(self.scene), self.scene.prony_terms)
+        if (scene := self.scene) is None:
+            return PoolKind()
+        return PoolKind(points_along(scene), scene.prony_terms, scene.dynamics is not None)
 
 
-def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, Kind], list[int]]:
+def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, PoolKind], list[int]]:
     """Places in the list of the scenes that are solved together: by their pattern and kind. share: whether scenes of
     some patterns are put into a larger one."""
-    out: dict[tuple[GridPattern, Kind], list[int]] = {}
+    out: dict[tuple[GridPattern, PoolKind], list[int]] = {}
     for kind in sorted({plan.kind for plan in plans if plan.pattern}):
         wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.kind == kind)
         found = grids.merged(wanted) if share else {pattern: pattern for pattern in wanted}

@@ -21,9 +21,9 @@ from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import ManyScenes, Solved
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.multifrontal import Multifrontal
-from tacgen.tensor_engine.planning import Planned, pools
+from tacgen.tensor_engine.planning import Planned, PoolKind, pools
 from tacgen.tensor_engine.slot import PartOfStep
-from tacgen.tensor_engine.viscosity import BYTES_PER_TERM
+from tacgen.tensor_engine.timed import BYTES_PER_DAMPER, BYTES_PER_TERM
 
 MAX_SLOTS = 1024  # more scenes at once are hardly faster
 # A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So put off are
@@ -36,6 +36,7 @@ BYTES_PER_CELL, BYTES_PER_UNKNOWN = 2500, 100  # bytes of tables, of a cell and 
 WORK_BYTES_PER_CELL, TANGENT_BYTES_PER_CELL = 3_000, 6_000
 WORK_BYTES_PER_ENTRY = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE_PHASES = (Phase.contact, Phase.predict)
+ELASTIC = PoolKind()
 ALL_CELL_PHASES = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
@@ -145,7 +146,7 @@ def solved(
         some = [replace(plans[k], pattern=pattern) for k in group]
         tree, ready = dissected(pattern), map(PreparedScene.of, some)
         devices.cleared(device)
-        room = Room.of(tree, memory, kind.prony_terms)
+        room = Room.of(tree, memory, kind)
         yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use, patient)
 
 
@@ -188,18 +189,20 @@ class Room:
     work: float
 
     @classmethod
-    def of(cls, tree: Dissection, memory: float, prony_terms: int = 0) -> "Room":
+    def of(cls, tree: Dissection, memory: float, kind: PoolKind = ELASTIC) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
         c, a, e = room_for(len(tree.patch)).values()
         # Schur complements now and at rest, and reduced; an inverse of the rest of the patch, and what couples both
         dense = 2 * c**2 + e**2 + e * a + a**2 + k**2 + k * c
         own = 4.0 * (tree.kept + dense) + BYTES_PER_CELL * cells + BYTES_PER_UNKNOWN * 3 * tree.pattern.size
-        viscous = (prony_terms + 2) * BYTES_PER_TERM * cells if prony_terms else 0  # with s and M
-        own += viscous
+        timed = kind.inert * BYTES_PER_DAMPER * cells
+        if kind.prony_terms:
+            timed += (kind.prony_terms + 2) * BYTES_PER_TERM * cells  # with s and M
+        own += timed
         each = dict.fromkeys(ALL_CELL_PHASES, float(WORK_BYTES_PER_CELL * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT_BYTES_PER_CELL * cells)
-        each |= {Phase.begin: 2.0 * viscous, Phase.admit: each[Phase.admit] + 2 * viscous}
+        each |= {Phase.begin: 2.0 * timed, Phase.admit: each[Phase.admit] + 2 * timed}
         return cls(max(1, int(0.45 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:

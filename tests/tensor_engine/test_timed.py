@@ -1,4 +1,4 @@
-"""Viscoelastic gels in the batch engine: the CPU engine's forces in presses, holds, slides and searches for a force."""
+"""Viscoelastic gels and gels with inertia in the batch engine: the CPU engine's frames, also where a force is sought."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from helpers.needs import needs
 
 torch = needs("torch")
 
-from helpers.presses import poses, scene
+from helpers.presses import gel, poses, scene
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.materials import EXAMPLE_LAWS, Law
@@ -17,7 +17,7 @@ from tacgen.fem.viscoelasticity import Step, Viscoelastic
 from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
 from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import DEFAULT_OPTIONS
-from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.tensor_engine import pool
 from tensor_engine.batches import batch, path, small, solve
 from tensor_engine.test_elements import Case, full
@@ -118,3 +118,41 @@ def test_energy_forces_and_tangents_with_memory_are_those_of_one_scene(projectio
         assert case.assembled(K, k) == pytest.approx(wanted, abs=1e-9 * np.abs(wanted).max())
         after = gel.after(H[row].numpy(), case.taken[row], case.x[row], h)
         assert step.after(H, s, ends)[row].numpy() == pytest.approx(after, abs=1e-12)
+
+
+TAPS = path((0, 0, -0.25), (0, 0, -0.25), (0.2, 0, -0.3), (0, 0, 0.3), (0, 0, 0.4))
+
+
+def tapped(made: Scene, seconds: float, longest: float, prony: tuple[tuple[float, float], ...] = ()) -> Scene:
+    """Gels of a ton per litre, so that a few milliseconds are short."""
+    dynamics = GelDynamics(1e-6, 20.0, 2e-4, longest)
+    return replace(timed(made, [seconds] * len(TAPS), pad((2.0, NEO, prony))), dynamics=dynamics)
+
+
+@pytest.mark.parametrize("prony", [(), ONE])
+def test_gels_with_inertia_move_as_by_the_cpu_engine(prony: tuple[tuple[float, float], ...]) -> None:
+    """Also where nothing touches them, and in steps that divide a frame."""
+    scenes = [
+        tapped(small(SphereSdf(2.5), TAPS, friction=0.5), 5e-3, 5e-3, prony),
+        tapped(small(SphereSdf(2.0), TAPS), 2e-2, 8e-3, prony),
+    ]
+    found = solve(batch(scenes), scenes)
+    all_same(scenes, found, 1e-7)
+    assert {state.substeps for state in found[1].states} >= {3}
+    slow = replace(scenes[0], dynamics=None)
+    (still,) = solve(batch([slow]), [slow])
+    forces = [[each.states[k].normal_force.sum() for k in range(2)] for each in (found[0], still)]
+    assert abs(forces[0][0] / forces[1][0] - 1) > 0.05
+    ended = [np.abs(each.states[-1].x - found[0].states[-2].x).max() for each in (found[0], still)]
+    assert ended[0] > 1e-3  # it swings, out of contact
+
+
+def test_scenes_with_inertia_follow_each_other_in_a_slot() -> None:
+    moves = poses([(0.1, 0, -0.2), (0.1, 0, 0.3), (0.1, 0, 0.4)])
+    made = [scene(SphereSdf(2 + k), moves, pad=gel(8, 8, 2.0), friction=0.5, edge=1.0) for k in range(2)]
+    made = [replace(one, duration=np.full(3, 5e-3), dynamics=GelDynamics(1e-6, 20.0, 2e-4, 5e-3)) for one in made]
+    solved = dict(pool.solved(made, dtype=torch.float64, slots=1))
+    for k, one in enumerate(made):
+        assert solved[k].why is None
+        for state, expected in zip(solved[k].states, whole(one), strict=True):
+            assert state.x == pytest.approx(expected.x, abs=1e-9)
