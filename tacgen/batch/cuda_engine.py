@@ -262,8 +262,6 @@ def scene_of(row: Row) -> Scene | str:
 
     if row.other is not None:
         return "a grasp"
-    if row.recipe.uncertainty is not None:  # its derivatives need the histories of load steps
-        return "derivatives of labels"
     try:
         scene = scene_of_row.build(row)
     except UserError:
@@ -337,7 +335,7 @@ def _solve(
             solution = SolvedScene(by, solved.states, heights=heights)
             if solved.why is not None:
                 solution = SolvedScene(by, why=f"solved by the CPU engine: {solved.why}")
-            solution_file.write(_place(folder, rows[k]), solution)
+            solution_file.write(_place(folder, rows[k]), solution, histories=rows[k].recipe.differentiable)
     except RuntimeError as error:  # PyTorch's, as when the GPU's memory is full: the workers solve what is left
         stopped = f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"
         return SolvedPart([stopped], late)

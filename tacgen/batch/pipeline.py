@@ -92,16 +92,15 @@ def _gels(work: SceneWork) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
     if (expected := Expected.of(built)) is not None:
         expected.refuse()
     with clock.stage("mesh"):
-        if known:
+        if known and not built.differentiable:
             stress = bool(row.recipe.outputs & STRESS_OUTPUTS)
             problem = mechanics.Problem.of_known_frames(built, mesh.of(built), stress=stress)
-            states = iter(known.states)
         else:
             # a trial of a prescribed force may fold where its solution does not: its frames stop such a scene
             through = row.recipe.folds == "keep" or built.forced is not None
             options = replace(mechanics.DEFAULT_OPTIONS, through_folds=through)
             problem = mechanics.Problem.of(built, mesh.of(built), options)
-            states = mechanics.states(built, problem)
+        states = iter(known.states) if known else mechanics.states(built, problem)
     return (Solvable(row, built, problem),), (((state, None),) for state in states)
 
 

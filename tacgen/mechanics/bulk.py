@@ -90,7 +90,6 @@ class Tangent:
         self.condensation = Condensation(pattern, at_rest)
         self.taken: tuple[Array, ...] = ()  # F (e, q, 3, 3), law by law
         self.exact_at: Array | None = None  # the x (n, 3) whose exact tangent it is
-        self.followed = False  # whether predictions use the exact tangent, which makes them differentiable
         self.projected = 0  # number of tangents that were projected
 
     @property

@@ -108,7 +108,7 @@ class OneScene:
         covered = tangent.usable and tangent.condensation.covers(conn[touching])
         if not covered:
             tangent.condensation.cover(with_neighbours(conn, touching))
-        exact = not tangent.followed or tangent.exact_at is history.x
+        exact = not problem.differentiable or tangent.exact_at is history.x
         return [Outcome.ready if covered and exact else Outcome.missing]
 
     def renew(self, rows: list[int]) -> list[bool]:

@@ -53,6 +53,7 @@ class Problem:
     edge: float  # [mm]
     body: "Body | None" = None
     dynamics: GelDynamics | None = None
+    differentiable: bool = False  # see Scene
     viscous: dict[int, Viscoelastic] = field(default_factory=dict)  # by the layer's number
     options: SolverOptions = DEFAULT_OPTIONS
 
@@ -160,7 +161,7 @@ def _in_time(scene: Scene, elastic: Sequence[Elastic], options: SolverOptions) -
     viscous = {k: Viscoelastic.of(elastic[k], layer.prony) for k, layer in layers if layer.prony}
     if scene.dynamics is not None or viscous:
         options = tighter(options)
-    return {"viscous": viscous, "dynamics": scene.dynamics, "options": options}
+    return {"viscous": viscous, "dynamics": scene.dynamics, "options": options, "differentiable": scene.differentiable}
 
 
 def _contact(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:

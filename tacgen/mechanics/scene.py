@@ -119,6 +119,7 @@ class Scene:
     element: Element = "hex"
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
     match: Match | None = None  # what a table wants of frames
+    differentiable: bool = False  # predictions take the exact tangent, for derivatives of the frames
 
     @property
     def prony_terms(self) -> int:

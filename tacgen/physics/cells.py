@@ -68,7 +68,7 @@ class Cells:
     def isochoric_stress(self, F: Array, made_of: Any) -> Array:
         """See elements.isochoric_stresses; (e, q, 3, 3)."""
         out = np.empty((1, *F.shape))
-        self.launch(elements.isochoric_stresses, (1, len(F)), F[None], self.weights, made_of, self.rows, out)
+        self.launch(elements.isochoric_stresses, out.shape[:3], F[None], made_of, self.rows, out)
         return np.asarray(out[0])
 
     def forces(self, stress: Array, nodes: int) -> Array:

@@ -143,21 +143,13 @@ def states(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
-def isochoric_stresses(
-    F: Matrices3, weights: Reals3, laws: wp.array2d(dtype=Coefficients), slots: Ints, out: Matrices3
-):  # fmt: skip
-    """J^2/3 F^-1 P (s, e, q) [MPa] of the laws without U, see fem.viscoelasticity; 0 in void cells."""
-    s, e = wp.tid()
-    slot = slots[s]
-    law = laws[slot, e]
-    for q in range(weights.shape[2]):
-        Fq, S = F[s, e, q], wp.mat33d()
-        if weights[slot, e, q] > real(0.0):
-            C, J, I1 = cofactor(Fq), positive_J(Fq), wp.ddot(Fq, Fq)
-            d = isochoric(law, I1, wp.ddot(C, C), J)
-            P = piola(Fq, I1, d.w1, d.w2, d.w3)
-            S = wp.exp(TWO_THIRDS * wp.log(J)) / J * (wp.transpose(C) * P)
-        out[s, e, q] = S
+def isochoric_stresses(F: Matrices3, laws: wp.array2d(dtype=Coefficients), slots: Ints, out: Matrices3):
+    """J^2/3 F^-1 P (s, e, q) [MPa] of the laws without U, see fem.viscoelasticity."""
+    s, e, q = wp.tid()
+    Fq = F[s, e, q]
+    C, J, I1 = cofactor(Fq), positive_J(Fq), wp.ddot(Fq, Fq)
+    d = isochoric(laws[slots[s], e], I1, wp.ddot(C, C), J)
+    out[s, e, q] = wp.exp(TWO_THIRDS * wp.log(J)) / J * (wp.transpose(C) * piola(Fq, I1, d.w1, d.w2, d.w3))
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")

@@ -139,7 +139,10 @@ def _scene(row: Row) -> Scene:
     if forced is not None and row.pair is not None:
         forced = replace(forced, tol=MATCHED_FORCE_TOL)
     more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match)
-    return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
+    numbers = friction, edge, dhat
+    return Scene(
+        gel, shape, path.poses, path.start, path.segment, *numbers, *more, differentiable=recipe.differentiable
+    )  # fmt: skip
 
 
 def _dynamics(recipe: Recipe) -> GelDynamics | None:

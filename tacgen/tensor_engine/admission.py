@@ -1,5 +1,6 @@
 """The checks of a load step of many scenes, and its record; see Numerics."""
 
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -78,13 +79,21 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s])
     numbers = torch.stack([t.offset[s], t.kappa[s], t.h_least[s], mean], 1)
     on_face = N, forces.normal, normal, friction, sliding, anchor, forces.gap
-    copies = [part.to("cpu", non_blocking=True) for part in (x, *on_face)]
+    sought = any(b.problem(row).differentiable for row in rows)
+    predicted = (t.h_error[s], t.ahead[s], t.motion[s]) if sought else ()
+    copies = [part.to("cpu", non_blocking=True) for part in (x, *on_face, *predicted)]
     told = numbers.tolist()  # waits for the copies too
     reached = []
     for k, row in enumerate(rows):
         place = b.scenes[row].place
         nodes, *points = (part[k].numpy() for part in copies)
-        reached.append(Reached(nodes[place.nodes], *(part[place.facets] for part in points), *told[k]))
+        at = points[: len(on_face)]
+        found = Reached(nodes[place.nodes], *(part[place.facets] for part in at), *told[k])
+        if sought and b.courses[row].predicted:
+            error, ahead, motion = points[len(on_face) :]
+            far = error[place.nodes], motion[place.facets]
+            found = replace(found, predictor_error=far, predicted=ahead[place.nodes])
+        reached.append(found)
     return reached
 
 

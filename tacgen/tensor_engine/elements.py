@@ -122,10 +122,10 @@ class Hexes:
         return energy, found, F if stress is None else stress
 
     def isochoric_stress(self, x: Tensor) -> Tensor:
-        """s (s, e, q, 3, 3) [MPa] at positions x (s, n, 3), see fem.viscoelasticity; 0 in void cells."""
+        """s (s, e, q, 3, 3) [MPa] at positions x (s, n, 3), see fem.viscoelasticity."""
         F = self.deformation(x)
         out = torch.empty_like(F)
-        launch(elements.isochoric_stresses, F.shape[:2], F, self.weights, self.laws, self.numbers, out)
+        launch(elements.isochoric_stresses, F.shape[:3], F, self.laws, self.numbers, out)
         return out
 
     def _at_nodes(self, stress: Tensor) -> Tensor:

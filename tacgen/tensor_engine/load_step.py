@@ -35,7 +35,11 @@ def place(b: Batch, rows: list[int]) -> list[Outcome]:
     covered = usable & covers(b, s, touching)
     cover(b, s, touching, ~apart & ~covered)
     names = {0: Outcome.missing, 1: Outcome.ready, 2: Outcome.apart}
-    return [names[k] for k in torch.where(apart, 2, covered.long()).tolist()]
+    outcomes = [names[k] for k in torch.where(apart, 2, covered.long()).tolist()]
+    for k, row in enumerate(rows):
+        if b.problem(row).differentiable and outcomes[k] is Outcome.ready:
+            outcomes[k] = Outcome.missing
+    return outcomes
 
 
 def covers(b: Batch, s: Tensor, facets: Tensor) -> Tensor:
