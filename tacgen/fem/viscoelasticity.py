@@ -41,7 +41,7 @@ class Step:
 
     @property
     def stiffening(self) -> Any:
-        """What the step adds to w, over w (..., e, 1, 1, 1) [-]."""
+        """Growth of w by the step, over w (..., e, 1, 1, 1) [-]."""
         return (self.beta * self.d).sum(-5)
 
     def memory(self, H: Any, start: Any) -> Any:

@@ -155,7 +155,7 @@ class Problem:
 
 
 def _in_time(scene: Scene, elastic: Sequence[Elastic], options: SolverOptions) -> dict[str, Any]:
-    """What depends on time in a scene with durations; and tighter options, since velocity is a difference of x over a
+    """All that depends on time in a scene; and tighter options with it, since velocity is a difference of x over a
     short time."""
     layers = enumerate(scene.gel.layers) if scene.prony_terms else ()
     viscous = {k: Viscoelastic.of(elastic[k], layer.prony) for k, layer in layers if layer.prony}

@@ -138,11 +138,8 @@ def _scene(row: Row) -> Scene:
     forced = path.forced
     if forced is not None and row.pair is not None:
         forced = replace(forced, tol=MATCHED_FORCE_TOL)
-    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match)
-    numbers = friction, edge, dhat
-    return Scene(
-        gel, shape, path.poses, path.start, path.segment, *numbers, *more, differentiable=recipe.differentiable
-    )  # fmt: skip
+    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match, recipe.differentiable)
+    return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 
 def _dynamics(recipe: Recipe) -> GelDynamics | None:

@@ -348,7 +348,7 @@ class Batch:
         return J, out if inertia is None else out + inertia.gradient(x)
 
     def elastic(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        """The same without inertia."""
+        """J, and the gradient without inertia."""
         J, out = self.hexes.rows(s).gradient(x)
         return J, out + self.barriers(s).gradient(x)
 

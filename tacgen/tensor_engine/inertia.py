@@ -11,8 +11,10 @@ from tacgen.tensor_engine.products import slot_times
 
 @dataclass(frozen=True)
 class ManyBodies(Inertia):
-    """Steps of scenes in `slots` (s,): damper (capacity, e, 24, 24): beta K/h of each cell; free (n, 1) bool: nodes that
-    move."""
+    """Steps of scenes in `slots` (s,).
+
+    damper (capacity, e, 24, 24): beta K/h of each cell; free (n, 1) bool: nodes that move.
+    """
 
     damper: Tensor
     slots: Tensor

@@ -48,7 +48,7 @@ class Planned:
 
     @cached_property
     def kind(self) -> PoolKind:
-        """What scenes that are solved together have in common beside their pattern."""
+        """Properties that scenes solved together have in common, beside their pattern."""
         if (scene := self.scene) is None:
             return PoolKind()
         return PoolKind(points_along(scene), scene.prony_terms, scene.dynamics is not None)

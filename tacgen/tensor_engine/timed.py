@@ -63,10 +63,8 @@ def _relaxation(b: Batch, rows: list[int], s: Tensor) -> Step:
 
 def _accelerate(b: Batch, rows: list[int], s: Tensor) -> None:
     """Inertia and damping in the load steps."""
-    t, gels = b.t, list[tuple[float, ...]]()
-    for row in rows:
-        assert (d := b.problem(row).dynamics) is not None
-        gels.append((_duration(b, row), d.density, d.alpha, d.beta))
+    t, all_dynamics = b.t, [b.problem(row).dynamics for row in rows]
+    gels = [(_duration(b, row), d.density, d.alpha, d.beta) for row, d in zip(rows, all_dynamics, strict=True) if d]
     h, density, alpha, beta = torch.tensor(gels, dtype=t.x.dtype, device=s.device).T[..., None, None]
     mass, x = density * torch.nan_to_num(lumped(b.hexes.weights[s], constant(HEX_SHAPE_VALUES, b.X))), t.h_x[s]
     each = Inertia.of(x, t.h_velocity[s], mass, alpha, h)  # with the masses of cells' corners

@@ -40,9 +40,7 @@ FEATURES = {  # a line of the table: what it changes in a recipe
     },
     "inertia (`dynamics`)": {"dynamics": {"density_kg_m3": 1000, "frame_s": 0.01, "step_s": 0.01}},
     "gels from meshes, `mesh: tet`": {"mesh": "tet"},
-    "`uncertainty`, whose derivatives cores compute from the solution": {
-        "uncertainty": {"material": {"poissons_ratio": 0.1}}
-    },
+    "`uncertainty`": {"uncertainty": {"material": {"poissons_ratio": 0.1}}},
     "grasps": {"grasp": {"mass_kg": 0.1}, "trajectory": [{"close": {"force_n": 1, "frames": 1}}]},
 }
 

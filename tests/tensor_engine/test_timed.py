@@ -1,4 +1,4 @@
-"""Viscoelastic gels and gels with inertia in the batch engine: the CPU engine's frames, also where a force is sought."""
+"""Viscoelastic gels and gels with inertia in the batch engine: the CPU engine's frames, and forces that are met."""
 
 from dataclasses import replace
 
