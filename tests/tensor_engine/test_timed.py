@@ -19,6 +19,7 @@ from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import DEFAULT_OPTIONS
 from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.tensor_engine import pool
+from tacgen.tensor_engine.replay import Replays
 from tensor_engine.batches import batch, path, small, solve
 from tensor_engine.test_elements import Case, full
 from tensor_engine.test_engine import all_same, whole
@@ -156,3 +157,15 @@ def test_scenes_with_inertia_follow_each_other_in_a_slot() -> None:
         assert solved[k].why is None
         for state, expected in zip(solved[k].states, whole(one), strict=True):
             assert state.x == pytest.approx(expected.x, abs=1e-9)
+
+
+def test_recorded_work_ends_where_other_work_does() -> None:
+    """As on a GPU."""
+    for scenes in (SCENES, [tapped(small(SphereSdf(2.5), TAPS, friction=0.5), 5e-3, 5e-3, ONE)] * 2):
+        wanted, recorded = solve(batch(scenes), scenes), batch(scenes)
+        recorded.replays = Replays(recorded.X.device, on=True)
+        for one, other in zip(solve(recorded, scenes), wanted, strict=True):
+            assert one.why is None
+            for state, same in zip(one.states, other.states, strict=True):
+                assert state.x == pytest.approx(same.x, abs=1e-8)
+        assert recorded.replays.count > 20
