@@ -64,7 +64,8 @@ class OneScene:
     bulk: Bulk
     ahead: Array | None  # x (n, 3) by inertia; None without
     prediction: Prediction | None
-    begins: Array  # x (n, 3) where Newton's method begins
+    last: BulkPoint | None  # the last equilibrium in this load step's bulk; None: not evaluated yet
+    begins: BulkPoint  # where Newton's method begins
     first: CoupledContact  # there, with its anchors
     at: BulkPoint  # the iterate
     J: tuple[Array, ...]  # there, as the last step predicted it
@@ -93,6 +94,7 @@ class OneScene:
         history, leg = course.history, course.legs[0]
         contact = replace(problem.contact.moved(Pose.of(leg.b), history.offset), kappa=history.kappa)
         inert, self.placed, self.ahead, self.prediction = list[Potential](), contact, None, None
+        self.last = None
         if problem.body is not None:
             assert history.velocity is not None
             inertia = problem.body.step(history.x, history.velocity, leg.duration)
@@ -112,7 +114,12 @@ class OneScene:
         return [Outcome.ready if covered and exact else Outcome.missing]
 
     def renew(self, rows: list[int]) -> list[bool]:
-        return [self._taken(self.bulk.at(self.course.history.x), None)]
+        return [self._taken(self._at_last(), None)]
+
+    def _at_last(self) -> BulkPoint:
+        if self.last is None:
+            self.last = self.bulk.at(self.course.history.x)
+        return self.last
 
     def _taken(self, at: BulkPoint, J: tuple[Array, ...] | None) -> bool:
         try:
@@ -131,8 +138,9 @@ class OneScene:
         for x in (None if near is None else near.x, guess, self.ahead, history.x):
             if x is None or blocked(self.placed, history.pose, history.x, history.gap, x):
                 continue
-            if np.isfinite(self.bulk.at(x).energy):
-                self.begins, self.first = x, self._anchored(history.x if guess is None else guess)
+            at = self._at_last() if x is history.x else self.bulk.at(x)
+            if np.isfinite(at.energy):
+                self.begins, self.first = at, self._anchored(history.x if guess is None else guess)
                 return [True]
         return [False]
 
@@ -148,12 +156,11 @@ class OneScene:
     def start(self, rows: list[int]) -> None:
         self.coupled, self.path, self.touching = self.first, (), None
         if self.condensed:
-            self.at = self.bulk.at(self.begins)
-            mixed = self.options.mixed_pressure
-            self.J = self.bulk.at(self.course.history.x).J if mixed else self.at.J
+            self.at = self.begins
+            self.J = self._at_last().J if self.options.mixed_pressure else self.at.J
 
     def whole(self, row: int) -> NotConverged | None:
-        found = full_newton.solve(self._problem, self.bulk, self.first, self.begins)
+        found = full_newton.solve(self._problem, self.bulk, self.first, self.begins.x)
         if not found.converged:
             return no_equilibrium(self.bulk.least_J(found.x), found.steps)
         self.at, self.coupled, self.course.newton.steps = found.here, found.contact, found.steps
@@ -248,7 +255,7 @@ class OneScene:
         return float(np.linalg.norm(r.ravel()[problem.pattern.free])) / force
 
     def least_J(self, row: int, start: bool) -> float:
-        return self.bulk.least_J(self.begins if start else self.at.x)
+        return self.bulk.least_J((self.begins if start else self.at).x)
 
     def check(self, rows: list[int]) -> list[Checked]:
         problem, history, x, contact = self._problem, self.course.history, self.at.x, self.coupled.contact
@@ -266,12 +273,11 @@ class OneScene:
         return [Checked(float(forces.gap.min()), least_J, float(residual[0]), float(balance[0]), deep, through)]
 
     def stiffen(self, row: int, contact: bool, folding: bool) -> None:
-        self.begins, self.first = self.at.x, self.coupled
-        if contact:
-            self.first = self.coupled.stiffened(BARRIER_STIFFENING_FACTOR)
+        self.first = self.coupled.stiffened(BARRIER_STIFFENING_FACTOR) if contact else self.coupled
         if folding:
             stiffer = (barrier.stiffened(BARRIER_STIFFENING_FACTOR) for barrier in self.bulk.folding)
-            self.bulk = replace(self.bulk, folding=tuple(stiffer))
+            self.bulk, self.last = replace(self.bulk, folding=tuple(stiffer)), None
+        self.begins = self.bulk.at(self.at.x)
 
     def record(self, rows: list[int]) -> list[Reached]:
         history, x, forces, coupled = self.course.history, self.at.x, self.forces, self.coupled

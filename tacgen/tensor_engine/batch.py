@@ -122,7 +122,7 @@ class Batch:
     X (B, n, 3) nodes at rest [mm]; exists (B, e); used (B, n) bool: nodes of cells that exist; free (n,) bool: nodes
     above the bonded base; N (q, 4) shape functions at a facet's points, areas (B, f, q) [mm^2]; (B,): dhat, eps, edge,
     reach [mm], friction; corners (q, 8): shape functions of a cell; patch (n,) bool: nodes to which `factors` can
-    condense; layer (B, e) of each cell. hexes: as the load step has them; at_rest: with the laws alone.
+    condense. hexes: as the load step has them; at_rest: with the laws alone.
     """
 
     topology: Topology
@@ -135,7 +135,6 @@ class Batch:
     free: Tensor
     hexes: Hexes
     at_rest: Hexes
-    layer: Tensor
     folding: FoldingBarriers
     shapes: Shapes
     N: Tensor
@@ -197,8 +196,7 @@ class Batch:
         dhat = number([c.dhat for c in contacts])
         batch = cls(
             topology, problems[0].options, factors, [Slot(*each) for each in zip(problems, places, strict=True)],
-            nodes, there, used.to(device), free.to(device), hexes, at_rest,
-            torch.as_tensor(layer, device=device), folding,
+            nodes, there, used.to(device), free.to(device), hexes, at_rest, folding,
             Shapes.of([c.shape for c in contacts], FLOAT_TYPE, device), number(contacts[0].faces.N),
             number(HEX_SHAPE_VALUES), number(areas), dhat,
             problems[0].options.slip * dhat, number([p.edge for p in problems]),
@@ -206,6 +204,8 @@ class Batch:
             Replays(nodes.device),
         )  # fmt: skip
         batch.t = batch.empty()
+        if problems[0].viscous:
+            batch.t.layer = torch.as_tensor(layer, device=device)
         return batch
 
     def empty(self) -> Tensors:

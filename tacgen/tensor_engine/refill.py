@@ -8,7 +8,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.tensor_engine.batch import WIDE_ARRAYS, Batch
 from tacgen.tensor_engine.grids import Place
 
-PROBLEM_ROWS = ("X", "exists", "layer", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
+PROBLEM_ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
 HEX_ROWS = ("B", "weights", "laws")
 FOLDING_ROWS = ("rest", "most", "stiffness")
 

@@ -57,7 +57,7 @@ def _relaxation(b: Batch, rows: list[int], s: Tensor) -> Step:
         for layer, part in b.problem(row).viscous.items():
             each[:, : len(part.tau), layer] = part.factors(_duration(b, row))
     known = torch.as_tensor(factors, device=s.device)
-    cells = known.gather(-1, b.layer[s][:, None, None].expand(-1, 3, count, -1))
+    cells = known.gather(-1, b.t.layer[s][:, None, None].expand(-1, 3, count, -1))
     return Step(*cells[..., None, None, None].unbind(1))
 
 
