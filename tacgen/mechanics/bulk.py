@@ -52,6 +52,11 @@ class BulkPoint:
         """At the integration points, law by law."""
         return tuple(p.J for p in self.points)
 
+    @property
+    def least_J(self) -> float:
+        """Smallest J at the integration points."""
+        return min(float(part.min()) for part in self.J)
+
     def stiffness(
         self, pattern: Pattern, projection: Projection = Projection.NONE, J: tuple[Array, ...] | None = None
     ) -> Array:
@@ -77,10 +82,6 @@ class Bulk:
         points = tuple(part.evaluate(x) for part in self.elastic)
         folding = tuple(barrier.evaluate(x) for barrier in self.folding)
         return BulkPoint(self.elastic, Total(self.other), x, points, folding)
-
-    def least_J(self, x: Array) -> float:
-        """Smallest J at the integration points."""
-        return min(float(part.min()) for part in self.at(x).J)
 
 
 class Tangent:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.fem.potential import Potential, Total
+from tacgen.fem.potential import Potential
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import contact_newton, full_newton
 from tacgen.mechanics.barrier import Contact
@@ -30,6 +30,7 @@ from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reache
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.state import History
 from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside
 from tacgen.physics.decisions import ContactStatus
 
@@ -162,7 +163,7 @@ class OneScene:
     def whole(self, row: int) -> NotConverged | None:
         found = full_newton.solve(self._problem, self.bulk, self.first, self.begins.x)
         if not found.converged:
-            return no_equilibrium(self.bulk.least_J(found.x), found.steps)
+            return no_equilibrium(found.here.least_J, found.steps)
         self.at, self.coupled, self.course.newton.steps = found.here, found.contact, found.steps
         return None
 
@@ -255,19 +256,19 @@ class OneScene:
         return float(np.linalg.norm(r.ravel()[problem.pattern.free])) / force
 
     def least_J(self, row: int, start: bool) -> float:
-        return self.bulk.least_J((self.begins if start else self.at).x)
+        return (self.begins if start else self.at).least_J
 
     def check(self, rows: list[int]) -> list[Checked]:
         problem, history, x, contact = self._problem, self.course.history, self.at.x, self.coupled.contact
         self.forces = forces = self.coupled.evaluate(x)
         least_J = least_jacobian(problem.mesh.points, x, problem.mesh.cells)
         outer = contact.faces.scatter(-forces.force, len(x))
-        inner = Total((*self.bulk.elastic, *self.bulk.folding)).gradient(x)
+        inertia = self.at.other.gradient(x)
         held = np.ones(x.size, bool)
         held[problem.pattern.free] = False
         force = max(float(np.linalg.norm(outer.sum(0))), history.least_force)
-        outer += Total(self.bulk.other).gradient(x)
-        residual, balance = imbalance(inner[None], outer[None], held.reshape(1, -1, 3), force)
+        inner, outer = (self.at.gradient - inertia)[None], (outer + inertia)[None]
+        residual, balance = imbalance(inner, outer, held.reshape(1, -1, 3), force)
         deep = depth_inside(contact, problem.elastic, x)
         through = blocked_along(contact, history.pose, history.x, history.gap, (*self.path, x))
         return [Checked(float(forces.gap.min()), least_J, float(residual[0]), float(balance[0]), deep, through)]
@@ -281,19 +282,18 @@ class OneScene:
 
     def record(self, rows: list[int]) -> list[Reached]:
         history, x, forces, coupled = self.course.history, self.at.x, self.forces, self.coupled
-        duration, contact, N = self.course.legs[0].duration, coupled.contact, forces.N
+        leg, contact, N = self.course.legs[0], coupled.contact, forces.N
         moved, sliding = dragged(coupled.anchor, forces.at, forces.normal, N, coupled.eps, self._end)
-        velocity = None if history.velocity is None else (x - history.x) / duration
+        velocity = None if history.velocity is None else (x - history.x) / leg.duration
         error, predicted = (p.error(x), p.x) if (p := self.prediction) else (None, None)
-        return [
-            Reached(
-                x, N, forces.normal, forces.normal @ contact.pose.rotation, forces.force - N[..., None] * forces.normal,
-                sliding, contact.pose.local(moved) if coupled.friction > 0 else history.anchor, forces.gap,
-                contact.offset, contact.kappa, max(history.least_force, MIN_FORCE_SCALE_RATIO * float(N.sum())),
-                forces.mean_gap if N.any() else contact.offset, velocity,
-                self._problem.internal(history, x, duration), error, predicted,
-            )
-        ]  # fmt: skip
+        anchor = contact.pose.local(moved) if coupled.friction > 0 else history.anchor
+        after = History(
+            Pose.of(leg.b), x, contact.offset, N, forces.normal @ contact.pose.rotation, anchor, forces.gap,
+            contact.kappa, max(history.least_force, MIN_FORCE_SCALE_RATIO * float(N.sum())), velocity,
+            self._problem.internal(history, x, leg.duration), predictor_error=error, predicted=predicted,
+        )  # fmt: skip
+        friction = forces.force - N[..., None] * forces.normal
+        return [Reached(after, forces.normal, friction, sliding, forces.mean_gap if N.any() else contact.offset)]
 
     def forget(self, row: int) -> None:
         if self.condensed:

@@ -6,6 +6,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from tacgen.geometry.pose import Pose
 from tacgen.mechanics.measures import MIN_FORCE_SCALE_RATIO, dragged, imbalance
 from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reached
 from tacgen.mechanics.state import History
@@ -69,7 +70,7 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     anchor = torch.where(rubbed, contact.local(pulled), t.h_anchor[s])
     friction = forces.force - N[..., None] * forces.normal
     flat = forces.normal.flatten(1, 2) @ contact.rotation
-    x, normal = t.x[s], flat.view_as(forces.normal)
+    x, normals = t.x[s], flat.view_as(forces.normal)
     timed.keep(b, rows, s)
     t.put(
         s, h_error=x - t.first_order[s], h_motion=t.motion[s], h_x=x, h_offset=t.offset[s], h_N=N, h_anchor=anchor,
@@ -78,7 +79,7 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     )  # fmt: skip
     mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s])
     numbers = torch.stack([t.offset[s], t.kappa[s], t.h_least[s], mean], 1)
-    on_face = N, forces.normal, normal, friction, sliding, anchor, forces.gap
+    on_face = N, forces.normal, normals, friction, sliding, anchor, forces.gap
     sought = any(b.problem(row).differentiable for row in rows)
     predicted = (t.h_error[s], t.ahead[s], t.motion[s]) if sought else ()
     copies = [part.to("cpu", non_blocking=True) for part in (x, *on_face, *predicted)]
@@ -87,13 +88,14 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     for k, row in enumerate(rows):
         place = b.scenes[row].place
         nodes, *points = (part[k].numpy() for part in copies)
-        at = points[: len(on_face)]
-        found = Reached(nodes[place.nodes], *(part[place.facets] for part in at), *told[k])
+        N, outward, normal, friction, sliding, anchor, gap = (part[place.facets] for part in points[: len(on_face)])
+        (offset, kappa, least, mean_gap), pose = told[k], Pose.of(b.courses[row].legs[0].b)
+        after = History(pose, nodes[place.nodes], offset, N, normal, anchor, gap, kappa, least)
         if sought and b.courses[row].predicted:
             error, ahead, motion = points[len(on_face) :]
             far = error[place.nodes], motion[place.facets]
-            found = replace(found, predictor_error=far, predicted=ahead[place.nodes])
-        reached.append(found)
+            after = replace(after, predictor_error=far, predicted=ahead[place.nodes])
+        reached.append(Reached(after, outward, friction, sliding, mean_gap))
     return reached
 
 

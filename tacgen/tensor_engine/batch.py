@@ -23,7 +23,7 @@ from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import gathered, index_of, put
 from tacgen.tensor_engine.inertia import ManyBodies
-from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
+from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.reduction import PADDING_PLACE
 from tacgen.tensor_engine.replay import Replays
 from tacgen.tensor_engine.shapes import Shapes
@@ -205,7 +205,7 @@ class Batch:
         )  # fmt: skip
         batch.t = batch.empty()
         if problems[0].viscous:
-            batch.t.layer = torch.as_tensor(layer, device=device)
+            vars(batch.t).update(layer=torch.as_tensor(layer, device=device))
         return batch
 
     def empty(self) -> Tensors:
@@ -332,10 +332,6 @@ class Batch:
     def barriers(self, s: Tensor) -> FoldingBarriers:
         """The barrier against inversion in scenes s, stiffened where cells came near to it."""
         return self.folding.stiffened(self.t.folds).rows(s)
-
-    def folded(self, s: Tensor, x: Tensor) -> Folding:
-        """The barrier against inversion in scenes s at x (s, n, 3)."""
-        return self.barriers(s).evaluate(x)
 
     def energy(self, s: Tensor, x: Tensor) -> Tensor:
         """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""

@@ -104,7 +104,7 @@ def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection,
     """Keeps the factors of tangents. Tells which there are (s,)."""
     x = getattr(b.t, at)[s]
     F, K = b.hexes.rows(s).tangents(x, b.t.J if mixed else None, projection, b.factors.dtype)
-    b.folded(s, x).add_tangents(K, projection)
+    b.barriers(s).evaluate(x).add_tangents(K, projection)
     timed.add_tangents(b, s, K)
     good, S = b.factors.factor(s, K, b.t.nodes[s, : sizes.nodes], sizes.fewest)
     b.keep(s, S=S)
