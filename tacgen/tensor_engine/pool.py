@@ -202,7 +202,8 @@ class Room:
         own += timed
         each = dict.fromkeys(ALL_CELL_PHASES, float(WORK_BYTES_PER_CELL * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT_BYTES_PER_CELL * cells)
-        each |= {Phase.begin: 2.0 * timed, Phase.admit: each[Phase.admit] + 2 * timed}
+        for phase, copies in ((Phase.begin, 4), (Phase.factor, 1), (Phase.renew, 1), (Phase.admit, 2)):
+            each[phase] = each.get(phase, 0.0) + copies * timed
         return cls(max(1, int(0.45 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:
