@@ -30,7 +30,7 @@ from tacgen.bundle import resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
-from tacgen.outputs import IMAGE_OUTPUTS
+from tacgen.outputs import IMAGE_OUTPUTS, STRESS_OUTPUTS
 from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
@@ -262,12 +262,13 @@ def scene_of(row: Row) -> Scene | str:
 
     if row.other is not None:
         return "a grasp"
-    if row.recipe.uncertainty is not None:  # its derivatives need the histories of load steps
-        return "derivatives of labels"
     try:
-        return scene_of_row.build(row)
+        scene = scene_of_row.build(row)
     except UserError:
         return "the scene cannot be built"  # its worker says why
+    if scene.prony_terms and row.recipe.outputs & STRESS_OUTPUTS:  # internal variables are ten times as much as a frame
+        return "stress of a viscous gel"
+    return scene
 
 
 def _unfinished(rows: Sequence[Row], folder: Path, overwrite: bool) -> list[Row]:
@@ -334,7 +335,7 @@ def _solve(
             solution = SolvedScene(by, solved.states, heights=heights)
             if solved.why is not None:
                 solution = SolvedScene(by, why=f"solved by the CPU engine: {solved.why}")
-            solution_file.write(_place(folder, rows[k]), solution)
+            solution_file.write(_place(folder, rows[k]), solution, histories=rows[k].recipe.differentiable)
     except RuntimeError as error:  # PyTorch's, as when the GPU's memory is full: the workers solve what is left
         stopped = f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"
         return SolvedPart([stopped], late)

@@ -16,6 +16,7 @@ from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.expected_error import Expected
+from tacgen.outputs import STRESS_OUTPUTS
 from tacgen.recipe import scene_checks, scene_of_row
 from tacgen.recipe.row import Row
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from tacgen.mechanics.grasp_balance import Held
 
-STRESS_OUTPUTS = {"stress", "surface_stress"}  # outputs that need the gel's elements
 # entries of the cache that take long, by the event that tells of them; tables come first of a sensor's images
 TOLD_ENTRIES = {compiled.COMPILED_ENTRY: "compiling", "untouched": "tracing", "table": "tracing"}
 # of a frame: each gel's state, and of a grasp what holds the object and the number of the finger
@@ -92,16 +92,15 @@ def _gels(work: SceneWork) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
     if (expected := Expected.of(built)) is not None:
         expected.refuse()
     with clock.stage("mesh"):
-        if known:
+        if known and not built.differentiable:
             stress = bool(row.recipe.outputs & STRESS_OUTPUTS)
             problem = mechanics.Problem.of_known_frames(built, mesh.of(built), stress=stress)
-            states = iter(known.states)
         else:
             # a trial of a prescribed force may fold where its solution does not: its frames stop such a scene
             through = row.recipe.folds == "keep" or built.forced is not None
             options = replace(mechanics.DEFAULT_OPTIONS, through_folds=through)
             problem = mechanics.Problem.of(built, mesh.of(built), options)
-            states = mechanics.states(built, problem)
+        states = iter(known.states) if known else mechanics.states(built, problem)
     return (Solvable(row, built, problem),), (((state, None),) for state in states)
 
 

@@ -70,13 +70,10 @@ class Elastic:
         energies, J, stress = self.elements.cells.states(F, *self._law)
         return Point(F, J, energies, stress)
 
-    def isochoric(self, x: Array) -> tuple[Array, Array, Array]:
-        """F (e, q, 3, 3), J (e, q) and P (e, q, 3, 3) [MPa] at x of the law without U and memory."""
+    def isochoric_stress(self, x: Array) -> Array:
+        """s = J^2/3 F^-1 P (e, q, 3, 3) [MPa] at x, where P is the stress without U and memory."""
         cells = self.elements.cells
-        alone = self.law.coefficients * [1, 1, 1, 1, 1, 0, 0, 0, 1]
-        F = cells.deformation(x)
-        _, J, stress = cells.states(F, cells.laws(alone), 0.0, None)
-        return F, J, stress / self.elements.weights[..., None, None]
+        return cells.isochoric_stress(cells.deformation(x), cells.laws(self.law.coefficients))
 
     def forces(self, at: Point, nodes: int) -> Array:
         """dE/dx (nodes, 3) [N]."""

@@ -1,7 +1,7 @@
 """Hyperelastic laws by name: their coefficients in the formula of physics.laws, and their moduli at rest."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +30,13 @@ def polynomial(
 ) -> Array:  # fmt: skip
     """Coefficients (9,) [MPa] of the formula of the shipped laws, see physics.laws."""
     return np.array([c10, c01, c20, c30, raw, kappa, lam, slope, 0.0])
+
+
+def stiffened(laws: Any, times: Any) -> Any:
+    """Coefficients (..., 9), of NumPy or PyTorch, with w multiplied by `times` (...) and the same U."""
+    out = laws * 1.0
+    out[..., :5] *= times[..., None]
+    return out
 
 
 @dataclass(frozen=True)
@@ -118,7 +125,7 @@ class Stiffened:
 
     @property
     def coefficients(self) -> Array:
-        return self.law.coefficients * [*[self.times] * 5, 1.0, 1.0, 1.0, 1.0]
+        return np.asarray(stiffened(self.law.coefficients, np.array(self.times)))
 
 
 # An example of each law, all with mu = 0.05 MPa and kappa = 0.4 MPa at rest, for tests.

@@ -20,6 +20,7 @@ energy that depends on the past only through the state at the start of the step:
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,29 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.materials import Stiffened
 
 Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step in time: beta, exp(-r) and d of each term, (..., k, e, 1, 1, 1), of NumPy or of PyTorch, as are H
+    (..., k, e, q, 3, 3) and s (..., e, q, 3, 3) [MPa]; e may be 1."""
+
+    beta: Any
+    decay: Any
+    d: Any
+
+    @property
+    def stiffening(self) -> Any:
+        """Growth of w by the step, over w (..., e, 1, 1, 1) [-]."""
+        return (self.beta * self.d).sum(-5)
+
+    def memory(self, H: Any, start: Any) -> Any:
+        """M, with H and s at the start."""
+        return (self.beta * self.decay * H).sum(-5) - self.stiffening * start
+
+    def after(self, H: Any, start: Any, end: Any) -> Any:
+        """H at the end, with s at both."""
+        return self.decay * H + self.d * (end - start)[..., None, :, :, :, :]
 
 
 @dataclass(frozen=True)
@@ -49,26 +73,23 @@ class Viscoelastic:
 
     def step(self, H: Array, start: Array, h: float) -> Elastic:
         """The potential of a step of h [s] from positions `start` (n, 3), where the internal variables are H."""
-        decay, d = self._factors(h)
-        now = float(self.beta @ d)
-        memory = np.tensordot(self.beta * decay, H, 1) - now * self._isochoric(start)
-        return replace(self.elastic, law=Stiffened(self.elastic.law, 1 + now), memory=memory)
+        step = self._step(h)
+        law = Stiffened(self.elastic.law, 1 + float(step.stiffening.squeeze()))
+        return replace(self.elastic, law=law, memory=step.memory(H, self.elastic.isochoric_stress(start)))
 
     def after(self, H: Array, start: Array, x: Array, h: float) -> Array:
         """H at x (n, 3), the end of that step."""
-        decay, d = (factor[:, None, None, None, None] for factor in self._factors(h))
-        return np.asarray(decay * H + d * (self._isochoric(x) - self._isochoric(start)))
+        s = self.elastic.isochoric_stress
+        return np.asarray(self._step(h).after(H, s(start), s(x)))
 
     def relaxing(self, H: Array) -> Elastic:
         """The potential whose stress is that of the gel with internal variables H."""
         return replace(self.elastic, memory=np.tensordot(self.beta, H, 1))
 
-    def _factors(self, h: float) -> tuple[Array, Array]:
-        """exp(-r) and (1 - exp(-r))/r, each (k,)."""
+    def factors(self, h: float) -> Array:
+        """beta, exp(-r) and (1 - exp(-r))/r (3, k) of a step of h [s]."""
         r = h / self.tau
-        return np.exp(-r), -np.expm1(-r) / r
+        return np.array([self.beta, np.exp(-r), -np.expm1(-r) / r])
 
-    def _isochoric(self, x: Array) -> Array:
-        """s = J^2/3 F^-1 P (e, q, 3, 3) [MPa], where P is the isochoric stress."""
-        F, J, P = self.elastic.isochoric(x)
-        return np.asarray(J[..., None, None] ** (2 / 3) * np.linalg.solve(F, P))
+    def _step(self, h: float) -> Step:
+        return Step(*self.factors(h)[..., None, None, None, None])

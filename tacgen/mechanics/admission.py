@@ -1,8 +1,9 @@
 """The checks that a load step must pass before it is recorded: nothing penetrates or inverts, and forces balance."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from tacgen.geometry.pose import Pose
 from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import Failure
 from tacgen.mechanics.numerics import Checked, Numerics, Reached
@@ -56,18 +57,15 @@ def _checked(n: Numerics, row: int, found: Checked) -> Outcome:
 
 def _recorded(problem: Problem, course: Course, found: Reached, checked: Checked) -> tuple[State, History]:
     """The state at the end of a load step, and what the next one inherits."""
-    before, end = course.history, course.legs[0].b
-    after = History(
-        Pose.of(end), found.x, found.offset, found.normal_force, found.normal, found.anchor, found.gap, found.kappa,
-        found.least_force, found.velocity, found.internal, folds_on(before, course.damped), found.predictor_error,
-        found.predicted,
-    )  # fmt: skip
-    friction, sliding = (found.friction, found.sliding) if problem.friction > 0 else (None, None)
+    before, after, friction, sliding = course.history, found.after, None, None
+    after = replace(after, folded=folds_on(before, course.damped))
+    if problem.friction > 0:
+        friction, sliding = found.friction, found.sliding
     least_gap, least_J, residual, balance = checked[:4]
     state = State(
-        course.index, end, found.x, found.normal_force, found.outward, friction, sliding, course.steps, 1, found.offset,
-        found.mean_gap, least_gap, residual, balance, least_J, course.damped, rounded=rounded(problem, before, after),
-        unique=not after.folded, internal=found.internal, after=after,
+        course.index, course.legs[0].b, after.x, after.normal_force, found.outward, friction, sliding, course.steps, 1,
+        after.offset, found.mean_gap, least_gap, residual, balance, least_J, course.damped,
+        rounded=rounded(problem, before, after), unique=not after.folded, internal=after.internal, after=after,
     )  # fmt: skip
     return state, after
 

@@ -52,6 +52,11 @@ class BulkPoint:
         """At the integration points, law by law."""
         return tuple(p.J for p in self.points)
 
+    @property
+    def least_J(self) -> float:
+        """Smallest J at the integration points."""
+        return min(float(part.min()) for part in self.J)
+
     def stiffness(
         self, pattern: Pattern, projection: Projection = Projection.NONE, J: tuple[Array, ...] | None = None
     ) -> Array:
@@ -78,10 +83,6 @@ class Bulk:
         folding = tuple(barrier.evaluate(x) for barrier in self.folding)
         return BulkPoint(self.elastic, Total(self.other), x, points, folding)
 
-    def least_J(self, x: Array) -> float:
-        """Smallest J at the integration points."""
-        return min(float(part.min()) for part in self.at(x).J)
-
 
 class Tangent:
     """A factorised tangent of the bulk, condensed to the contact, with the deformation at which it was computed."""
@@ -90,7 +91,6 @@ class Tangent:
         self.condensation = Condensation(pattern, at_rest)
         self.taken: tuple[Array, ...] = ()  # F (e, q, 3, 3), law by law
         self.exact_at: Array | None = None  # the x (n, 3) whose exact tangent it is
-        self.followed = False  # whether predictions use the exact tangent, which makes them differentiable
         self.projected = 0  # number of tangents that were projected
 
     @property

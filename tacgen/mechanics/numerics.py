@@ -5,7 +5,7 @@ know is computed here, for the scenes in some rows at once. `one_scene.OneScene`
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,6 +15,7 @@ from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.state import History
 from tacgen.physics.decisions import ContactStatus
 
 Array = np.ndarray
@@ -48,25 +49,14 @@ class Checked(NamedTuple):
 
 @dataclass(frozen=True)
 class Reached:
-    """The arrays of an equilibrium that the next load step inherits, see state.History, and those of its State; normal
-    (f, q, 3) is in the indenter's frame and outward (f, q, 3) in the sensor's."""
+    """An equilibrium: the history that the next load step inherits, but for folds; normals (f, q, 3) outward in the
+    sensor's frame, friction (f, q, 3) [N] on the gel, which points slide (f, q), and the mean gap [mm]."""
 
-    x: Array
-    normal_force: Array
+    after: History
     outward: Array
-    normal: Array
     friction: Array
     sliding: Array
-    anchor: Array
-    gap: Array
-    offset: float
-    kappa: float
-    least_force: float
     mean_gap: float
-    velocity: Array | None = None
-    internal: dict[int, Array] = field(default_factory=dict)
-    predictor_error: tuple[Array, Array] | None = None
-    predicted: Array | None = None
 
 
 class Numerics(Protocol):

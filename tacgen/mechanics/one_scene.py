@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.fem.potential import Potential, Total
+from tacgen.fem.potential import Potential
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import contact_newton, full_newton
 from tacgen.mechanics.barrier import Contact
@@ -30,6 +30,7 @@ from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reache
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.state import History
 from tacgen.mechanics.tunnelling import blocked, blocked_along, depth_inside
 from tacgen.physics.decisions import ContactStatus
 
@@ -64,7 +65,8 @@ class OneScene:
     bulk: Bulk
     ahead: Array | None  # x (n, 3) by inertia; None without
     prediction: Prediction | None
-    begins: Array  # x (n, 3) where Newton's method begins
+    last: BulkPoint | None  # the last equilibrium in this load step's bulk; None: not evaluated yet
+    begins: BulkPoint  # where Newton's method begins
     first: CoupledContact  # there, with its anchors
     at: BulkPoint  # the iterate
     J: tuple[Array, ...]  # there, as the last step predicted it
@@ -93,6 +95,7 @@ class OneScene:
         history, leg = course.history, course.legs[0]
         contact = replace(problem.contact.moved(Pose.of(leg.b), history.offset), kappa=history.kappa)
         inert, self.placed, self.ahead, self.prediction = list[Potential](), contact, None, None
+        self.last = None
         if problem.body is not None:
             assert history.velocity is not None
             inertia = problem.body.step(history.x, history.velocity, leg.duration)
@@ -108,11 +111,16 @@ class OneScene:
         covered = tangent.usable and tangent.condensation.covers(conn[touching])
         if not covered:
             tangent.condensation.cover(with_neighbours(conn, touching))
-        exact = not tangent.followed or tangent.exact_at is history.x
+        exact = not problem.differentiable or tangent.exact_at is history.x
         return [Outcome.ready if covered and exact else Outcome.missing]
 
     def renew(self, rows: list[int]) -> list[bool]:
-        return [self._taken(self.bulk.at(self.course.history.x), None)]
+        return [self._taken(self._at_last(), None)]
+
+    def _at_last(self) -> BulkPoint:
+        if self.last is None:
+            self.last = self.bulk.at(self.course.history.x)
+        return self.last
 
     def _taken(self, at: BulkPoint, J: tuple[Array, ...] | None) -> bool:
         try:
@@ -131,8 +139,9 @@ class OneScene:
         for x in (None if near is None else near.x, guess, self.ahead, history.x):
             if x is None or blocked(self.placed, history.pose, history.x, history.gap, x):
                 continue
-            if np.isfinite(self.bulk.at(x).energy):
-                self.begins, self.first = x, self._anchored(history.x if guess is None else guess)
+            at = self._at_last() if x is history.x else self.bulk.at(x)
+            if np.isfinite(at.energy):
+                self.begins, self.first = at, self._anchored(history.x if guess is None else guess)
                 return [True]
         return [False]
 
@@ -148,14 +157,13 @@ class OneScene:
     def start(self, rows: list[int]) -> None:
         self.coupled, self.path, self.touching = self.first, (), None
         if self.condensed:
-            self.at = self.bulk.at(self.begins)
-            mixed = self.options.mixed_pressure
-            self.J = self.bulk.at(self.course.history.x).J if mixed else self.at.J
+            self.at = self.begins
+            self.J = self._at_last().J if self.options.mixed_pressure else self.at.J
 
     def whole(self, row: int) -> NotConverged | None:
-        found = full_newton.solve(self._problem, self.bulk, self.first, self.begins)
+        found = full_newton.solve(self._problem, self.bulk, self.first, self.begins.x)
         if not found.converged:
-            return no_equilibrium(self.bulk.least_J(found.x), found.steps)
+            return no_equilibrium(found.here.least_J, found.steps)
         self.at, self.coupled, self.course.newton.steps = found.here, found.contact, found.steps
         return None
 
@@ -248,46 +256,44 @@ class OneScene:
         return float(np.linalg.norm(r.ravel()[problem.pattern.free])) / force
 
     def least_J(self, row: int, start: bool) -> float:
-        return self.bulk.least_J(self.begins if start else self.at.x)
+        return (self.begins if start else self.at).least_J
 
     def check(self, rows: list[int]) -> list[Checked]:
         problem, history, x, contact = self._problem, self.course.history, self.at.x, self.coupled.contact
         self.forces = forces = self.coupled.evaluate(x)
         least_J = least_jacobian(problem.mesh.points, x, problem.mesh.cells)
         outer = contact.faces.scatter(-forces.force, len(x))
-        inner = Total((*self.bulk.elastic, *self.bulk.folding)).gradient(x)
+        inertia = self.at.other.gradient(x)
         held = np.ones(x.size, bool)
         held[problem.pattern.free] = False
         force = max(float(np.linalg.norm(outer.sum(0))), history.least_force)
-        outer += Total(self.bulk.other).gradient(x)
-        residual, balance = imbalance(inner[None], outer[None], held.reshape(1, -1, 3), force)
+        inner, outer = (self.at.gradient - inertia)[None], (outer + inertia)[None]
+        residual, balance = imbalance(inner, outer, held.reshape(1, -1, 3), force)
         deep = depth_inside(contact, problem.elastic, x)
         through = blocked_along(contact, history.pose, history.x, history.gap, (*self.path, x))
         return [Checked(float(forces.gap.min()), least_J, float(residual[0]), float(balance[0]), deep, through)]
 
     def stiffen(self, row: int, contact: bool, folding: bool) -> None:
-        self.begins, self.first = self.at.x, self.coupled
-        if contact:
-            self.first = self.coupled.stiffened(BARRIER_STIFFENING_FACTOR)
+        self.first = self.coupled.stiffened(BARRIER_STIFFENING_FACTOR) if contact else self.coupled
         if folding:
             stiffer = (barrier.stiffened(BARRIER_STIFFENING_FACTOR) for barrier in self.bulk.folding)
-            self.bulk = replace(self.bulk, folding=tuple(stiffer))
+            self.bulk, self.last = replace(self.bulk, folding=tuple(stiffer)), None
+        self.begins = self.bulk.at(self.at.x)
 
     def record(self, rows: list[int]) -> list[Reached]:
         history, x, forces, coupled = self.course.history, self.at.x, self.forces, self.coupled
-        duration, contact, N = self.course.legs[0].duration, coupled.contact, forces.N
+        leg, contact, N = self.course.legs[0], coupled.contact, forces.N
         moved, sliding = dragged(coupled.anchor, forces.at, forces.normal, N, coupled.eps, self._end)
-        velocity = None if history.velocity is None else (x - history.x) / duration
+        velocity = None if history.velocity is None else (x - history.x) / leg.duration
         error, predicted = (p.error(x), p.x) if (p := self.prediction) else (None, None)
-        return [
-            Reached(
-                x, N, forces.normal, forces.normal @ contact.pose.rotation, forces.force - N[..., None] * forces.normal,
-                sliding, contact.pose.local(moved) if coupled.friction > 0 else history.anchor, forces.gap,
-                contact.offset, contact.kappa, max(history.least_force, MIN_FORCE_SCALE_RATIO * float(N.sum())),
-                forces.mean_gap if N.any() else contact.offset, velocity,
-                self._problem.internal(history, x, duration), error, predicted,
-            )
-        ]  # fmt: skip
+        anchor = contact.pose.local(moved) if coupled.friction > 0 else history.anchor
+        after = History(
+            Pose.of(leg.b), x, contact.offset, N, forces.normal @ contact.pose.rotation, anchor, forces.gap,
+            contact.kappa, max(history.least_force, MIN_FORCE_SCALE_RATIO * float(N.sum())), velocity,
+            self._problem.internal(history, x, leg.duration), predictor_error=error, predicted=predicted,
+        )  # fmt: skip
+        friction = forces.force - N[..., None] * forces.normal
+        return [Reached(after, forces.normal, friction, sliding, forces.mean_gap if N.any() else contact.offset)]
 
     def forget(self, row: int) -> None:
         if self.condensed:

@@ -42,7 +42,7 @@ def rough(scene: Scene) -> Scene:
     forced = scene.forced
     assert forced is not None
     forced = replace(forced, tol=0.05, end=int(np.flatnonzero(np.isfinite(forced.asked))[-1]) + 1)
-    return replace(scene, edge=_coarse(scene), dhat=max(scene.dhat, 0.05), forced=forced)
+    return replace(scene, edge=_coarse(scene), dhat=max(scene.dhat, 0.05), forced=forced, differentiable=False)
 
 
 def _coarse(scene: Scene) -> float:

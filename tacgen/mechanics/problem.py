@@ -1,9 +1,10 @@
 """The discretised problem of a scene: elasticity, contact and linear solver of a mesh."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.options import DEFAULT_OPTIONS, SolverOptions, tighter
-from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.mechanics.state import History
 from tacgen.physics.contact import MIN_SLOPE
 
@@ -40,7 +41,7 @@ class Problem:
     """Elasticity, contact and linear solver of a mesh; mass, if the scene has dynamics; and the viscoelastic layers, if
     it has durations.
 
-    `longest` is the longest step in time [s].
+    `dynamics` are those of the scene, of which body is made where matrices are.
     """
 
     mesh: GelMesh
@@ -51,7 +52,8 @@ class Problem:
     friction: float
     edge: float  # [mm]
     body: "Body | None" = None
-    longest: float = math.inf
+    dynamics: GelDynamics | None = None
+    differentiable: bool = False  # see Scene
     viscous: dict[int, Viscoelastic] = field(default_factory=dict)  # by the layer's number
     options: SolverOptions = DEFAULT_OPTIONS
 
@@ -64,22 +66,18 @@ class Problem:
             held = np.zeros((len(mesh.points), 3), bool)
             held[np.unique(mesh.facets["bonded"])] = True
         pat = pattern([mesh.cells], ~held)
-        elastic, folding, viscous = [], [], {}
+        elastic, folding = [], []
         for number, layer in enumerate(scene.gel.layers):
             some = elements(mesh.points, mesh.cells[mesh.layer == number])
             elastic.append(Elastic.on(pat, some, layer.law))
             folding.append(FoldingBarrier.on(pat, mesh.points, some, layer.law.mu))
-            if layer.prony and scene.duration is not None:
-                viscous[number] = Viscoelastic.of(elastic[number], layer.prony)
-        if scene.dynamics is not None or viscous:  # velocity is a difference of x over a short time
-            options = tighter(options)
         contact, parts = _contact(scene, mesh, pat), (tuple(elastic), tuple(folding))
-        ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, viscous=viscous, options=options)
+        ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, **_in_time(scene, elastic, options))
         if (d := scene.dynamics) is None:
             return ready
         from tacgen.fem.inertia import Body
 
-        return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
+        return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta))
 
     @classmethod
     def of_known_frames(cls, scene: Scene, mesh: GelMesh, *, stress: bool = False) -> "Problem":
@@ -91,7 +89,8 @@ class Problem:
             Elastic(elements(mesh.points, some[layer == number]), each.law)
             for number, each in enumerate(scene.gel.layers)
         )
-        return cls(mesh, elastic, (), _contact(scene, mesh, None), EMPTY_PATTERN, scene.friction, scene.edge)
+        contact, timed = _contact(scene, mesh, None), _in_time(scene, elastic, DEFAULT_OPTIONS)
+        return cls(mesh, elastic, (), contact, EMPTY_PATTERN, scene.friction, scene.edge, **timed)
 
     @cached_property
     def linear(self) -> linear_solvers.Solver:
@@ -152,7 +151,17 @@ class Problem:
 
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""
-        return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
+        return 1 if self.dynamics is None else max(1, math.ceil(duration / self.dynamics.longest - 1e-9))
+
+
+def _in_time(scene: Scene, elastic: Sequence[Elastic], options: SolverOptions) -> dict[str, Any]:
+    """All that depends on time in a scene; and tighter options with it, since velocity is a difference of x over a
+    short time."""
+    layers = enumerate(scene.gel.layers) if scene.prony_terms else ()
+    viscous = {k: Viscoelastic.of(elastic[k], layer.prony) for k, layer in layers if layer.prony}
+    if scene.dynamics is not None or viscous:
+        options = tighter(options)
+    return {"viscous": viscous, "dynamics": scene.dynamics, "options": options, "differentiable": scene.differentiable}
 
 
 def _contact(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:

@@ -119,6 +119,12 @@ class Scene:
     element: Element = "hex"
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
     match: Match | None = None  # what a table wants of frames
+    differentiable: bool = False  # predictions take the exact tangent, for derivatives of the frames
+
+    @property
+    def prony_terms(self) -> int:
+        """Terms of the longest Prony series of a layer; 0 without durations, since none has an effect then."""
+        return 0 if self.duration is None else max(len(layer.prony) for layer in self.gel.layers)
 
     @cached_property
     def overlaps(self) -> list[tuple[Overlap, Array]]:

@@ -61,12 +61,12 @@ class Slopes:
 
 
 class Sensitivity:
-    """Derivatives at the frames of one scene, in order."""
+    """Derivatives at the frames of one scene, which is differentiable, in order."""
 
     def __init__(self, problem: Problem, parameters: Sequence[Parameter]) -> None:
         self._problem, self._contact, self._parameters = problem, problem.contact, tuple(parameters)
         self._lower = -np.array([p.depth for p in parameters])[:, None] * np.eye(3)[2]  # of the pose (k, 3)
-        problem.tangent.followed = True
+        assert problem.differentiable
         self._tangent = problem.new_tangent()
         self._before = problem.rest(problem.contact.pose)
         self._slopes = self._without_contact(self._before)

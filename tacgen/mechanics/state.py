@@ -22,8 +22,10 @@ class History:
     gap: Array  # (f, q) [mm]
     kappa: float  # barrier stiffness [MPa]
     least_force: float  # smallest force scale of the tolerances [N]
-    velocity: Array | None  # (n, 3) [mm/s], with inertia
-    internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
+    velocity: Array | None = None  # (n, 3) [mm/s], with inertia
+    internal: dict[int, Array] = field(
+        default_factory=dict
+    )  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
     folded: bool = False  # a step was damped since the gel was last untouched
     predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)
     predicted: Array | None = None  # x (n, 3) by this load step's predictor

@@ -32,5 +32,6 @@ OUTPUTS: dict[str, Output] = {
 }
 MAP_OUTPUTS = frozenset(name for name in OUTPUT_NAMES if any("h" in row.dims for row in OUTPUTS[name].rows.values()))
 IMAGE_OUTPUTS = frozenset(name for name, output in OUTPUTS.items() if output.needs == "light")
+STRESS_OUTPUTS = frozenset({"stress", "surface_stress"})  # they need the gel's elements
 LAYOUT: dict[str, Entry] = {path: row for output in OUTPUTS.values() for path, row in output.rows.items()}
 DRAWN_MAPS: dict[str, DrawnMap] = {name: layer for output in OUTPUTS.values() for name, layer in output.maps.items()}

@@ -27,7 +27,8 @@ def on_coarser_mesh(built: Scene) -> tuple[Problem, Iterator[State]]:
     Raises:
         NotConverged: a frame has no solution on that mesh.
     """
-    built = replace(built, edge=COARSE_EDGE_RATIO * built.edge, dhat=COARSE_EDGE_RATIO * built.dhat)
+    edge, dhat = COARSE_EDGE_RATIO * built.edge, COARSE_EDGE_RATIO * built.dhat
+    built = replace(built, edge=edge, dhat=dhat, differentiable=False)
     problem = Problem.of(built, mesh.of(built))
     return problem, _solved(built, problem)
 

@@ -65,6 +65,12 @@ class Cells:
         )  # fmt: skip
         return energy[0], J[0], stress[0]
 
+    def isochoric_stress(self, F: Array, made_of: Any) -> Array:
+        """See elements.isochoric_stresses; (e, q, 3, 3)."""
+        out = np.empty((1, *F.shape))
+        self.launch(elements.isochoric_stresses, out.shape[:3], F[None], made_of, self.rows, out)
+        return np.asarray(out[0])
+
     def forces(self, stress: Array, nodes: int) -> Array:
         """dE/dx (nodes, 3) [N] of weights times P."""
         out = np.zeros((1, nodes, 3))

@@ -143,6 +143,16 @@ def states(
 
 
 @wp.kernel(enable_backward=False, module="tacgen.physics")
+def isochoric_stresses(F: Matrices3, laws: wp.array2d(dtype=Coefficients), slots: Ints, out: Matrices3):
+    """J^2/3 F^-1 P (s, e, q) [MPa] of the laws without U, see fem.viscoelasticity."""
+    s, e, q = wp.tid()
+    Fq = F[s, e, q]
+    C, J, I1 = cofactor(Fq), positive_J(Fq), wp.ddot(Fq, Fq)
+    d = isochoric(laws[slots[s], e], I1, wp.ddot(C, C), J)
+    out[s, e, q] = wp.exp(TWO_THIRDS * wp.log(J)) / J * (wp.transpose(C) * piola(Fq, I1, d.w1, d.w2, d.w3))
+
+
+@wp.kernel(enable_backward=False, module="tacgen.physics")
 def corner_forces(stress: Matrices3, B: Vectors4, slots: Ints, step: int, forces: Vectors3):
     """Forces (s, e, a) [N] on the corners of cells of weights times P, by `step` threads for each cell."""
     s, e, start = wp.tid()

@@ -224,32 +224,41 @@ class Tangents:
                     p.negative = written(modes, i, q, stretches(F, d), d, k)
                 out[i, q] = p
 
-        @kernel
-        def pair_blocks(
-            B: Vectors4, slots: Ints, items: Ints2, at: wp.array2d(dtype=Point), modes: wp.array3d(dtype=mat),
-            dilatation: wp.array(dtype=r), two: wp.bool, add: wp.bool, cells: int, K: wp.array4d(dtype=r),
-        ):  # fmt: skip
-            """d2E/dx2 of cells (s, e, 3 corner + direction, ...), for a GPU: a thread for each pair of corners."""
-            i, number = wp.tid()
-            pair = item(items, i, cells)
-            s, e = pair[0], pair[1]
-            a, b = number / B.shape[3], number % B.shape[3]
-            k, va, vb, M = mat(), vec(), vec(), mat()
-            for q in range(at.shape[1]):
-                p = at[i, q]
-                g, h = single(B[slots[s], e, q, a]), single(B[slots[s], e, q, b])
-                ca, cb = corner(p, M, g, two, False), corner(p, M, h, two, False)
-                k += block(p, M, ca, cb, two, False) + added(p, modes, i, q, ca, cb)
-                va += p.w * (p.C * g)
-                vb += p.w * (p.C * h)
-            if dilatation.shape[0] > 0:
-                k += dilatation[i] * wp.outer(va, vb)
-            for j in range(3):
-                for m in range(3):
-                    if add:
-                        K[s, e, 3 * a + j, 3 * b + m] = K[s, e, 3 * a + j, 3 * b + m] + k[j, m]
-                    else:
-                        K[s, e, 3 * a + j, 3 * b + m] = k[j, m]
+        def pairs(remembers: bool) -> wp.Kernel:
+            """A kernel for elastic gels and one for others, which takes more registers."""
+
+            @kernel
+            def pair_blocks(
+                B: Vectors4, slots: Ints, items: Ints2, at: wp.array2d(dtype=Point), memory: wp.array2d(dtype=mat),
+                modes: wp.array3d(dtype=mat), dilatation: wp.array(dtype=r), two: wp.bool, add: wp.bool, cells: int,
+                K: wp.array4d(dtype=r),
+            ):  # fmt: skip
+                """d2E/dx2 of cells (s, e, 3 corner + direction, ...), for a GPU: a thread for each pair of corners.
+                `memory`: as in `cell_blocks`, if the gel `remembers`."""
+                i, number = wp.tid()
+                pair = item(items, i, cells)
+                s, e = pair[0], pair[1]
+                a, b = number / B.shape[3], number % B.shape[3]
+                k, va, vb, M = mat(), vec(), vec(), mat()
+                for q in range(at.shape[1]):
+                    p = at[i, q]
+                    if remembers:
+                        M = memory[i, q]
+                    g, h = single(B[slots[s], e, q, a]), single(B[slots[s], e, q, b])
+                    ca, cb = corner(p, M, g, two, remembers), corner(p, M, h, two, remembers)
+                    k += block(p, M, ca, cb, two, remembers) + added(p, modes, i, q, ca, cb)
+                    va += p.w * (p.C * g)
+                    vb += p.w * (p.C * h)
+                if dilatation.shape[0] > 0:
+                    k += dilatation[i] * wp.outer(va, vb)
+                for j in range(3):
+                    for m in range(3):
+                        if add:
+                            K[s, e, 3 * a + j, 3 * b + m] = K[s, e, 3 * a + j, 3 * b + m] + k[j, m]
+                        else:
+                            K[s, e, 3 * a + j, 3 * b + m] = k[j, m]
+
+            return pair_blocks
 
         @kernel
         def cell_blocks(
@@ -306,7 +315,7 @@ class Tangents:
 
         self.module, self.Point, self.Corner, self.mat, self.vec = module, Point, Corner, mat, vec
         self.points, self.folding_points = points, folding_points
-        self.pair_blocks, self.cell_blocks = pair_blocks, cell_blocks
+        self.pair_blocks, self.cell_blocks = (pairs(False), pairs(True)), cell_blocks
 
 
 @cache

@@ -268,6 +268,12 @@ class Recipe(Part):
         return sum(segment.frames for segment in self.trajectory)
 
     @property
+    def differentiable(self) -> bool:
+        """Whether derivatives by inputs are asked for that move nodes, as a scale of all moduli does not."""
+        deviations = {} if self.uncertainty is None else self.uncertainty.deviations
+        return any(value > 0 for name, value in deviations.items() if name != "modulus")
+
+    @property
     def match(self) -> str | None:
         """If a replayed table is met by other things than its poses: force or grip."""
         matched = (step.replay.match for step in self.trajectory if step.replay and step.replay.matched)

@@ -138,7 +138,7 @@ def _scene(row: Row) -> Scene:
     forced = path.forced
     if forced is not None and row.pair is not None:
         forced = replace(forced, tol=MATCHED_FORCE_TOL)
-    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match)
+    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match, recipe.differentiable)
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 

@@ -1,13 +1,16 @@
 """The checks of a load step of many scenes, and its record; see Numerics."""
 
+from dataclasses import replace
 from functools import partial
 
 import torch
 from torch import Tensor
 
+from tacgen.geometry.pose import Pose
 from tacgen.mechanics.measures import MIN_FORCE_SCALE_RATIO, dragged, imbalance
 from tacgen.mechanics.numerics import BARRIER_STIFFENING_FACTOR, Checked, Reached
 from tacgen.mechanics.state import History
+from tacgen.tensor_engine import timed
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces
 from tacgen.tensor_engine.contact_newton import at_nodes
@@ -40,9 +43,11 @@ def _figures(b: Batch, s: Tensor) -> tuple[Tensor, None]:
 
 def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces) -> tuple[Tensor, Tensor]:
     """Residual at the free nodes and |indenter + base|, both (s,) over the contact force [-]."""
-    inner = b.gradient(s, x)[1]
+    inner = b.elastic(s, x)[1]
     outer = at_nodes(contact, -forces.force, x.shape[1])
     force = torch.maximum(torch.linalg.norm(outer.sum(1), dim=1), b.t.h_least[s])
+    if (inertia := b.inertia(s)) is not None:
+        outer = outer + inertia.gradient(x)
     return imbalance(inner, outer, ~b.free[None, :, None], force)
 
 
@@ -65,7 +70,8 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     anchor = torch.where(rubbed, contact.local(pulled), t.h_anchor[s])
     friction = forces.force - N[..., None] * forces.normal
     flat = forces.normal.flatten(1, 2) @ contact.rotation
-    x, normal = t.x[s], flat.view_as(forces.normal)
+    x, normals = t.x[s], flat.view_as(forces.normal)
+    timed.keep(b, rows, s)
     t.put(
         s, h_error=x - t.first_order[s], h_motion=t.motion[s], h_x=x, h_offset=t.offset[s], h_N=N, h_anchor=anchor,
         h_gap=forces.gap, h_kappa=t.kappa[s], h_rotation=t.rotation[s], h_position=t.position[s],
@@ -73,14 +79,23 @@ def record(b: Batch, rows: list[int]) -> list[Reached]:
     )  # fmt: skip
     mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s])
     numbers = torch.stack([t.offset[s], t.kappa[s], t.h_least[s], mean], 1)
-    on_face = N, forces.normal, normal, friction, sliding, anchor, forces.gap
-    copies = [part.to("cpu", non_blocking=True) for part in (x, *on_face)]
+    on_face = N, forces.normal, normals, friction, sliding, anchor, forces.gap
+    sought = any(b.problem(row).differentiable for row in rows)
+    predicted = (t.h_error[s], t.ahead[s], t.motion[s]) if sought else ()
+    copies = [part.to("cpu", non_blocking=True) for part in (x, *on_face, *predicted)]
     told = numbers.tolist()  # waits for the copies too
     reached = []
     for k, row in enumerate(rows):
         place = b.scenes[row].place
         nodes, *points = (part[k].numpy() for part in copies)
-        reached.append(Reached(nodes[place.nodes], *(part[place.facets] for part in points), *told[k]))
+        N, outward, normal, friction, sliding, anchor, gap = (part[place.facets] for part in points[: len(on_face)])
+        (offset, kappa, least, mean_gap), pose = told[k], Pose.of(b.courses[row].legs[0].b)
+        after = History(pose, nodes[place.nodes], offset, N, normal, anchor, gap, kappa, least)
+        if sought and b.courses[row].predicted:
+            error, ahead, motion = points[len(on_face) :]
+            far = error[place.nodes], motion[place.facets]
+            after = replace(after, predictor_error=far, predicted=ahead[place.nodes])
+        reached.append(Reached(after, outward, friction, sliding, mean_gap))
     return reached
 
 

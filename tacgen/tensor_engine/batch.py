@@ -22,7 +22,8 @@ from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import gathered, index_of, put
-from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
+from tacgen.tensor_engine.inertia import ManyBodies
+from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.reduction import PADDING_PLACE
 from tacgen.tensor_engine.replay import Replays
 from tacgen.tensor_engine.shapes import Shapes
@@ -121,7 +122,7 @@ class Batch:
     X (B, n, 3) nodes at rest [mm]; exists (B, e); used (B, n) bool: nodes of cells that exist; free (n,) bool: nodes
     above the bonded base; N (q, 4) shape functions at a facet's points, areas (B, f, q) [mm^2]; (B,): dhat, eps, edge,
     reach [mm], friction; corners (q, 8): shape functions of a cell; patch (n,) bool: nodes to which `factors` can
-    condense.
+    condense. hexes: as the load step has them; at_rest: with the laws alone.
     """
 
     topology: Topology
@@ -133,6 +134,7 @@ class Batch:
     used: Tensor
     free: Tensor
     hexes: Hexes
+    at_rest: Hexes
     folding: FoldingBarriers
     shapes: Shapes
     N: Tensor
@@ -170,16 +172,20 @@ class Batch:
         contacts = [p.contact for p in problems]
         q = contacts[0].faces.areas.shape[1]
         exists, areas = np.zeros((B, e), bool), np.zeros((B, f, q))
-        table, moduli = np.zeros((B, e, 9)), np.ones((B, e))
+        table, moduli, layer = np.zeros((B, e, 9)), np.ones((B, e)), np.zeros((B, e), int)
         table[..., 0] = table[..., 5] = 1.0  # any law for void cells
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
             exists[k, place.cells], areas[k, place.facets] = True, contacts[k].faces.areas
+            layer[k, place.cells] = problem.mesh.layer
             laws = [part.law.coefficients for part in problem.elastic]
             table[k, place.cells] = np.array(laws)[problem.mesh.layer]
             moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
         nodes = number([place.points for place in places])
         there = torch.as_tensor(exists, device=device)
-        hexes = Hexes.on(topology, nodes, there, number(table))
+        hexes = at_rest = Hexes.on(topology, nodes, there, number(table))
+        if problems[0].viscous:
+            memory = hexes.weights.new_zeros(*hexes.weights.shape, 3, 3)
+            hexes = replace(at_rest, laws=at_rest.laws.clone(), memory=memory)
         folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))
         used, free = torch.zeros(nodes.shape[:2], dtype=torch.bool), torch.ones(topology.nodes, dtype=torch.bool)
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
@@ -190,7 +196,7 @@ class Batch:
         dhat = number([c.dhat for c in contacts])
         batch = cls(
             topology, problems[0].options, factors, [Slot(*each) for each in zip(problems, places, strict=True)],
-            nodes, there, used.to(device), free.to(device), hexes, folding,
+            nodes, there, used.to(device), free.to(device), hexes, at_rest, folding,
             Shapes.of([c.shape for c in contacts], FLOAT_TYPE, device), number(contacts[0].faces.N),
             number(HEX_SHAPE_VALUES), number(areas), dhat,
             problems[0].options.slip * dhat, number([p.edge for p in problems]),
@@ -198,6 +204,8 @@ class Batch:
             Replays(nodes.device),
         )  # fmt: skip
         batch.t = batch.empty()
+        if problems[0].viscous:
+            vars(batch.t).update(layer=torch.as_tensor(layer, device=device))
         return batch
 
     def empty(self) -> Tensors:
@@ -218,6 +226,11 @@ class Batch:
         of_nodes = ["h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y"]
         alone = ["h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy"]
         alone += ["c_offset", "c_length", "c_drift", "c_gap"]
+        if terms := max((len(part.tau) for p in self.scenes for part in p.problem.viscous.values()), default=0):
+            of_face |= {"h_internal": (terms, *F[1:], 3, 3), "h_isochoric": (*F[1:], 3, 3)}
+        if self.inert:
+            of_face |= {"inertial": (n, 1), "drag": (n, 1), "corners": (F[1], 8), "damper": (F[1], 24, 24)}
+            of_face |= {"coasting": (n, 3), "h_velocity": (n, 3)}
         return Tensors(
             **{name: zeros(*shape) for name, shape in of_face.items()}, **{name: zeros(n, 3) for name in of_nodes},
             **{name: zeros() for name in alone},
@@ -299,6 +312,11 @@ class Batch:
             mine[: len(other)].copy_(other)
         self.shapes = replace(old, all=new.all)
 
+    @property
+    def inert(self) -> bool:
+        """Whether gels have inertia."""
+        return self.scenes[0].problem.dynamics is not None
+
     def problem(self, row: int) -> Problem:
         """The discretised problem of a scene."""
         return self.scenes[row].problem
@@ -315,18 +333,28 @@ class Batch:
         """The barrier against inversion in scenes s, stiffened where cells came near to it."""
         return self.folding.stiffened(self.t.folds).rows(s)
 
-    def folded(self, s: Tensor, x: Tensor) -> Folding:
-        """The barrier against inversion in scenes s at x (s, n, 3)."""
-        return self.barriers(s).evaluate(x)
-
     def energy(self, s: Tensor, x: Tensor) -> Tensor:
         """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""
-        return self.hexes.rows(s).energy(x) + self.barriers(s).energy(x)
+        energy, inertia = self.hexes.rows(s).energy(x) + self.barriers(s).energy(x), self.inertia(s)
+        return energy if inertia is None else energy + inertia.value(x)
 
     def gradient(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         """J (s, e, q), and the gradient of the energy (s, n, 3) [N]."""
+        (J, out), inertia = self.elastic(s, x), self.inertia(s)
+        return J, out if inertia is None else out + inertia.gradient(x)
+
+    def elastic(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """J, and the gradient without inertia."""
         J, out = self.hexes.rows(s).gradient(x)
         return J, out + self.barriers(s).gradient(x)
+
+    def inertia(self, s: Tensor) -> ManyBodies | None:
+        """Inertia of the gels in their load steps; None: they have none."""
+        if not self.inert:
+            return None
+        t, free = self.t, self.free[:, None]
+        start, coasting, inertial, drag = gathered(s, t.h_x, t.coasting, t.inertial, t.drag)
+        return ManyBodies(start, coasting, inertial, drag, t.damper, s, self.topology, free)
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""

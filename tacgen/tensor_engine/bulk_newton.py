@@ -53,6 +53,8 @@ def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[None, None]:
     (x,) = gathered(s, t.x)
     g = b.hexes.rows(s).mixed_forces(x, t.J, t.taken)
     g = g + b.barriers(s).gradient(x)
+    if (inertia := b.inertia(s)) is not None:
+        g = g + inertia.gradient(x)
     y, load = b.factors.forward(s, g, sizes.nodes)
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))

@@ -26,7 +26,7 @@ def damping(b: Batch, rows: Sequence[int]) -> Damping:
     new = [row for row, damped in zip(rows, each, strict=True) if damped > 0 and not b.scenes[row].rested]
     if new:
         some, sizes = b.slots(new), b.sizes(new)
-        K = b.hexes.rows(some).tangents(b.X[some], dtype=b.factors.dtype)[1]
+        K = b.at_rest.rows(some).tangents(b.X[some], dtype=b.factors.dtype)[1]
         b.keep(some, S_0=b.factors.schur(K, b.t.nodes[some, : sizes.nodes], sizes.fewest)[1])
         for row in new:
             b.scenes[row].rested = True

@@ -73,7 +73,7 @@ class Topology:
 class Hexes:
     """Cells of each scene: B (capacity, e, q, 8, 3) dN/dX [1/mm], weights (capacity, e, q) [mm^3], 0 for void cells,
     and laws (capacity, e, 9), see physics.laws.Coefficients, of which one depends on `two_invariants`; slots (s,): the
-    scenes of a call, all if None."""
+    scenes of a call, all if None; memory (capacity, e, q, 3, 3): as in fem.elasticity.Elastic, None in elastic gels."""
 
     topology: Topology
     B: Tensor
@@ -81,6 +81,7 @@ class Hexes:
     laws: Tensor
     two_invariants: bool
     slots: Tensor | None = None
+    memory: Tensor | None = None
 
     @classmethod
     def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Tensor) -> "Hexes":
@@ -115,10 +116,17 @@ class Hexes:
         shape, energy = F.shape[:3], F.new_empty(F.shape[:2])
         found, stress = F.new_empty(shape if want else (0, 0, 0)), torch.empty_like(F) if want else None
         launch(
-            elements.states, shape[:2], F, self.weights, self.laws, self.numbers, 0.0, None, J, taken, energy,
+            elements.states, shape[:2], F, self.weights, self.laws, self.numbers, 0.0, self.memory, J, taken, energy,
             found, stress,
         )  # fmt: skip
         return energy, found, F if stress is None else stress
+
+    def isochoric_stress(self, x: Tensor) -> Tensor:
+        """s (s, e, q, 3, 3) [MPa] at positions x (s, n, 3), see fem.viscoelasticity."""
+        F = self.deformation(x)
+        out = torch.empty_like(F)
+        launch(elements.isochoric_stresses, F.shape[:3], F, self.laws, self.numbers, out)
+        return out
 
     def _at_nodes(self, stress: Tensor) -> Tensor:
         """Nodal forces (s, n, 3) of weights times P (s, e, q, 3, 3)."""
@@ -163,13 +171,14 @@ class Hexes:
         K, dilatation = F.new_empty(s, e, 24, 24, dtype=dtype), F.new_empty(s * e, dtype=dtype)
         points = room(kernels.Point, (s * e, q), F)
         modes = None if projection is Projection.NONE else room(kernels.mat, (s * e, q, 9), F)
+        kept = None if self.memory is None else room(kernels.mat, (s * e, q), F)
         launch(
-            kernels.points, (s * e,), F, self.weights, self.laws, self.numbers, None, 0.0, None, J,
-            int(projection), points, None, modes, dilatation,
+            kernels.points, (s * e,), F, self.weights, self.laws, self.numbers, None, 0.0, self.memory, J,
+            int(projection), points, kept, modes, dilatation,
         )  # fmt: skip
         launch(
-            kernels.pair_blocks, (s * e, 64), self.B, self.numbers, None, points, modes, dilatation,
-            self.two_invariants, False, e, K,
+            kernels.pair_blocks[kept is not None], (s * e, 64), self.B, self.numbers, None, points, kept, modes,
+            dilatation, self.two_invariants, False, e, K,
         )  # fmt: skip
         return F, K
 

@@ -49,8 +49,8 @@ class Folding:
         )  # fmt: skip
         slopes = b.dN.expand(len(b.rest), b.rest.shape[1], -1, -1, -1)
         launch(
-            kernels.pair_blocks, (k, 64), slopes, b.numbers, self.items, points, modes, None, False, True, out.shape[1],
-            out,
+            kernels.pair_blocks[False], (k, 64), slopes, b.numbers, self.items, points, None, modes, None, False, True,
+            out.shape[1], out,
         )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from tacgen.fem.potential import Projection
 from tacgen.mechanics.measures import ahead, onset
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import STICKING_SPRING_STIFFNESS
+from tacgen.tensor_engine import timed
 from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import gathered
@@ -25,6 +26,7 @@ def place(b: Batch, rows: list[int]) -> list[Outcome]:
         s, rotation=poses[:, :3, :3], position=poses[:, :3, 3], offset=t.h_offset[s], kappa=t.h_kappa[s],
         folds=torch.ones_like(t.folds[s]), motion=torch.zeros_like(t.motion[s]),
     )  # fmt: skip
+    timed.prepare(b, rows, s)
     contact = b.face(s, t.offset[s])
     gap = contact.gap(t.h_x[s])
     touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)
@@ -33,7 +35,11 @@ def place(b: Batch, rows: list[int]) -> list[Outcome]:
     covered = usable & covers(b, s, touching)
     cover(b, s, touching, ~apart & ~covered)
     names = {0: Outcome.missing, 1: Outcome.ready, 2: Outcome.apart}
-    return [names[k] for k in torch.where(apart, 2, covered.long()).tolist()]
+    outcomes = [names[k] for k in torch.where(apart, 2, covered.long()).tolist()]
+    for k, row in enumerate(rows):
+        if b.problem(row).differentiable and outcomes[k] is Outcome.ready:
+            outcomes[k] = Outcome.missing
+    return outcomes
 
 
 def covers(b: Batch, s: Tensor, facets: Tensor) -> Tensor:
@@ -98,7 +104,8 @@ def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection,
     """Keeps the factors of tangents. Tells which there are (s,)."""
     x = getattr(b.t, at)[s]
     F, K = b.hexes.rows(s).tangents(x, b.t.J if mixed else None, projection, b.factors.dtype)
-    b.folded(s, x).add_tangents(K, projection)
+    b.barriers(s).evaluate(x).add_tangents(K, projection)
+    timed.add_tangents(b, s, K)
     good, S = b.factors.factor(s, K, b.t.nodes[s, : sizes.nodes], sizes.fewest)
     b.keep(s, S=S)
     b.t.put(s, taken=F)
@@ -173,6 +180,9 @@ def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tenso
     good, x = use, torch.where(use[:, None, None], ahead, last)
     if recording() or not bool(use.all()):
         good = use | _clear(b, s, last)
+        if b.inert:
+            coasting = ~use & _clear(b, s, t.coasting[s])
+            good, x = good | coasting, torch.where(coasting[:, None, None], t.coasting[s], x)
     for known in near:
         close = (known > 0) & _clear(b, s, t.begins[s])
         good, x = good | close, torch.where(close[:, None, None], t.begins[s], x)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 from tacgen.mechanics import mesh
 from tacgen.mechanics.problem import points_along
@@ -14,6 +15,14 @@ from tacgen.tensor_engine import grids, scope
 from tacgen.tensor_engine.grids import GridPattern
 
 MIN_PART_SCENES = 12  # scenes of a part: fewer take about as long, as their longest one does
+
+
+class PoolKind(NamedTuple):
+    """Contact points along a facet's side, terms of the longest Prony series, and whether gels have inertia."""
+
+    points: int = 0
+    prony_terms: int = 0
+    inert: bool = False
 
 
 @dataclass(frozen=True)
@@ -38,21 +47,23 @@ class Planned:
         return cls(number, scene, axes, pattern)
 
     @cached_property
-    def points(self) -> int:
-        """Contact points along a facet's side."""
-        return 0 if self.scene is None else points_along(self.scene)
+    def kind(self) -> PoolKind:
+        """Properties that scenes solved together have in common, beside their pattern."""
+        if (scene := self.scene) is None:
+            return PoolKind()
+        return PoolKind(points_along(scene), scene.prony_terms, scene.dynamics is not None)
 
 
-def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, int], list[int]]:
-    """Places in the list of the scenes that are solved together: by their pattern, and the contact points along a
-    facet's side. share: whether scenes of some patterns are put into a larger one."""
-    out: dict[tuple[GridPattern, int], list[int]] = {}
-    for points in sorted({plan.points for plan in plans if plan.pattern}):
-        wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.points == points)
+def pools(plans: Sequence[Planned], share: bool = True) -> dict[tuple[GridPattern, PoolKind], list[int]]:
+    """Places in the list of the scenes that are solved together: by their pattern and kind. share: whether scenes of
+    some patterns are put into a larger one."""
+    out: dict[tuple[GridPattern, PoolKind], list[int]] = {}
+    for kind in sorted({plan.kind for plan in plans if plan.pattern}):
+        wanted = Counter(plan.pattern for plan in plans if plan.pattern and plan.kind == kind)
         found = grids.merged(wanted) if share else {pattern: pattern for pattern in wanted}
         for k, plan in enumerate(plans):
-            if plan.pattern and plan.points == points:
-                out.setdefault((found[plan.pattern], points), []).append(k)
+            if plan.pattern and plan.kind == kind:
+                out.setdefault((found[plan.pattern], kind), []).append(k)
     return out
 
 

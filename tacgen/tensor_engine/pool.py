@@ -21,8 +21,9 @@ from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import ManyScenes, Solved
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.multifrontal import Multifrontal
-from tacgen.tensor_engine.planning import Planned, pools
+from tacgen.tensor_engine.planning import Planned, PoolKind, pools
 from tacgen.tensor_engine.slot import PartOfStep
+from tacgen.tensor_engine.timed import BYTES_PER_DAMPER, BYTES_PER_TERM
 
 MAX_SLOTS = 1024  # more scenes at once are hardly faster
 # A few scenes that go on for long would keep a batch from ending, in calls that are as good as empty. So put off are
@@ -35,6 +36,7 @@ BYTES_PER_CELL, BYTES_PER_UNKNOWN = 2500, 100  # bytes of tables, of a cell and 
 WORK_BYTES_PER_CELL, TANGENT_BYTES_PER_CELL = 3_000, 6_000
 WORK_BYTES_PER_ENTRY = 48  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE_PHASES = (Phase.contact, Phase.predict)
+ELASTIC = PoolKind()
 ALL_CELL_PHASES = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
@@ -140,11 +142,11 @@ def solved(
     """
     plans = [each if isinstance(each, Planned) else Planned.of((k, each)) for k, each in enumerate(scenes)]
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
-    for (pattern, _), group in pools(plans, share).items():  # each pool is gone before the next one is made
+    for (pattern, kind), group in pools(plans, share).items():  # each pool is gone before the next one is made
         some = [replace(plans[k], pattern=pattern) for k in group]
         tree, ready = dissected(pattern), map(PreparedScene.of, some)
         devices.cleared(device)
-        room = Room.of(tree, memory)
+        room = Room.of(tree, memory, kind)
         yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use, patient)
 
 
@@ -187,15 +189,21 @@ class Room:
     work: float
 
     @classmethod
-    def of(cls, tree: Dissection, memory: float) -> "Room":
+    def of(cls, tree: Dissection, memory: float, kind: PoolKind = ELASTIC) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
         c, a, e = room_for(len(tree.patch)).values()
         # Schur complements now and at rest, and reduced; an inverse of the rest of the patch, and what couples both
         dense = 2 * c**2 + e**2 + e * a + a**2 + k**2 + k * c
         own = 4.0 * (tree.kept + dense) + BYTES_PER_CELL * cells + BYTES_PER_UNKNOWN * 3 * tree.pattern.size
+        timed = kind.inert * BYTES_PER_DAMPER * cells
+        if kind.prony_terms:
+            timed += (kind.prony_terms + 2) * BYTES_PER_TERM * cells  # with s and M
+        own += timed
         each = dict.fromkeys(ALL_CELL_PHASES, float(WORK_BYTES_PER_CELL * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 5.0 * tree.work + TANGENT_BYTES_PER_CELL * cells)
+        for phase, copies in ((Phase.begin, 4), (Phase.factor, 1), (Phase.renew, 1), (Phase.admit, 2)):
+            each[phase] = each.get(phase, 0.0) + copies * timed
         return cls(max(1, int(0.45 * memory / own)), each, 0.15 * memory)
 
     def fitting(self, phase: Phase, kind: Kind, waiting: int) -> int:

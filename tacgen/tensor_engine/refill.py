@@ -9,7 +9,7 @@ from tacgen.tensor_engine.batch import WIDE_ARRAYS, Batch
 from tacgen.tensor_engine.grids import Place
 
 PROBLEM_ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
-
+HEX_ROWS = ("B", "weights", "laws")
 FOLDING_ROWS = ("rest", "most", "stiffness")
 
 
@@ -25,10 +25,11 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
     for name in PROBLEM_ROWS:
         getattr(b, name)[slot] = getattr(one, name)[0]
     b.free &= one.free  # bonded nodes that no scene before has had
-    for mine, new, names in ((b.hexes, one.hexes, ("B", "weights", "laws")), (b.folding, one.folding, FOLDING_ROWS)):
+    for mine, new, names in ((b.at_rest, one.at_rest, HEX_ROWS), (b.folding, one.folding, FOLDING_ROWS)):
         for name in names:
             getattr(mine, name)[slot] = getattr(new, name)[0]
-    b.hexes = replace(b.hexes, two_invariants=b.hexes.two_invariants or one.hexes.two_invariants)
+    if one.hexes.two_invariants and not b.hexes.two_invariants:
+        b.hexes, b.at_rest = (replace(part, two_invariants=True) for part in (b.hexes, b.at_rest))
     b.scenes[slot] = one.scenes[0]
     for name, rows in vars(b.t).items():
         rows[slot] = b._blank(name, 1, rows.shape[1:])[0] if name in WIDE_ARRAYS else getattr(one.t, name)[0]

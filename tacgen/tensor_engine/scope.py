@@ -8,8 +8,6 @@ def lacks(scene: Scene) -> str | None:
     """The first thing in a scene that the batch engine does not do, in words; None: it solves the scene."""
     wanted = {
         "a mesh of tets": scene.element != "hex",
-        "inertia": scene.dynamics is not None,
-        "a viscous gel": scene.duration is not None and any(layer.prony for layer in scene.gel.layers),
         # it would solve them, at 3 frames a second on an H100 where six scenes are all there is: cores are faster
         "exact edges": isinstance(scene.shape, SharpField),
     }

@@ -276,11 +276,6 @@ def test_processes_draw_on_the_gpus_in_turn(
     assert seen == [chosen]
 
 
-def test_derivatives_are_left_to_the_cpu_engine(tmp_path: Path) -> None:
-    (row,) = planned(tmp_path, more="uncertainty: {material: {modulus: 0.1}}\n").rows
-    assert cuda_engine.scene_of(row) == "derivatives of labels"
-
-
 def test_no_gpu_is_one_line(tmp_path: Path) -> None:
     torch = needs("torch")
     if torch.cuda.is_available():

@@ -151,7 +151,7 @@ def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypa
     for each in (begun, other):  # both by one tangent
         go_on(each, until=Phase.start)
     go_on(begun, until=Phase.step)
-    x = begun.begins
+    x = begun.begins.x
     go_on(begun)
     far = np.flatnonzero(problem.mesh.points[:, 2] == problem.mesh.points[:, 2].max())
     far = far[problem.mesh.points[far, :2].sum(1).argmax()]

@@ -26,7 +26,7 @@ EXACT = replace(mechanics.DEFAULT_OPTIONS, step_tol=1e-4, residual_tol=1e-7)
 
 
 def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.GelMesh, dict[str, np.ndarray]]:
-    built = scene_of_row.build(row)
+    built = replace(scene_of_row.build(row), differentiable=True)
     problem = mechanics.Problem.of(built, mesh.of(built), options)
     follow = Sensitivities(problem, Uncertainty.model_validate(ALL).deviations, row.sensor.gel)
     for state in mechanics.states(built, problem):
@@ -40,7 +40,6 @@ def differences(built: Scene, on: mesh.GelMesh, options: mechanics.SolverOptions
     def solved(**new: object) -> np.ndarray:
         other = replace(built, **new)
         problem = mechanics.Problem.of(other, on, options)
-        problem.tangent.followed = True  # as where derivatives are asked for
         return force(list(mechanics.states(other, problem))[-1])
 
     def moduli(times: float, poisson: float) -> dict[str, object]:

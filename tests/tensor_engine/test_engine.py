@@ -17,7 +17,7 @@ from tacgen.mechanics import DEFAULT_OPTIONS, SolverOptions, State, measures
 from tacgen.mechanics import bulk_newton as newton
 from tacgen.mechanics.numerics import Numerics
 from tacgen.mechanics.phases import FINAL_PHASES, PHASE_TRANSITIONS, Outcome, Phase
-from tacgen.mechanics.scene import GelDynamics, Scene
+from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solver import PHASE_KERNELS
 from tacgen.tensor_engine import bulk_newton as tensor_bulk
 from tacgen.tensor_engine import engine, load_step, pool
@@ -175,13 +175,10 @@ def whole(made: Scene) -> list[State]:
 
 def test_what_the_engine_lacks_is_said() -> None:
     made = small(BALL, path((0, 0, -0.2)))
-    viscous = GelBody(6.0, 6.0, layers=(GelLayer(2.0, EXAMPLE_LAWS["yeoh"], 0.15, ((0.2, 0.1),)),))
     assert lacks(made) is None
     assert lacks(replace(made, duration=np.ones(1))) is None
     for changed, said in (
         (replace(made, element="tet"), "a mesh of tets"),
-        (replace(made, dynamics=GelDynamics(1e-9, 0.0, 0.0, 1e-3)), "inertia"),
-        (replace(made, gel=viscous, duration=np.ones(1)), "a viscous gel"),
         (replace(made, shape=sharp_field()), "exact edges"),
     ):
         assert lacks(changed) == said

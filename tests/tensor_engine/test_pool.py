@@ -79,7 +79,7 @@ def test_meshes_of_unlike_sizes_share_one_batch():
 def test_a_scene_with_other_contact_points_is_refused():
     thin = pressed(SphereSdf(0.4), (0, 0, -0.1))
     plans = [Planned.of(each) for each in enumerate([SCENES[0], thin])]
-    assert [plan.points for plan in plans] == [2, 4]
+    assert [plan.kind.points for plan in plans] == [2, 4]
     first, other = (pool.PreparedScene.of(plan) for plan in plans)
     slots = pool.ScenePool([first], dissected(plans[0].pattern), "cpu", torch.float64)
     with pytest.raises(ValueError, match="contact points"):
@@ -191,7 +191,14 @@ def test_no_process_begins_a_second_part_when_others_have_ended() -> None:
 
 def test_scenes_with_other_contact_points_share_pools_of_their_own() -> None:
     small, large = GridPattern((14, 14, 5)), GridPattern((18, 18, 5))
-    wide, thin = (SimpleNamespace(shape=SimpleNamespace(reach=r, smallest_radius=1), edge=0.5) for r in (1, 0.1))
+    wide, thin = (
+        SimpleNamespace(shape=SimpleNamespace(reach=r, smallest_radius=1), edge=0.5, prony_terms=0, dynamics=None)
+        for r in (1, 0.1)
+    )
     plans = [Planned(k, s, pattern=p) for k, (s, p) in enumerate([(wide, small), (thin, small), (thin, large)])]  # type: ignore[arg-type]
-    assert pools(plans) == {(small, 2): [0], (large, 3): [1, 2]}
-    assert pools(plans, share=False) == {(small, 2): [0], (small, 3): [1], (large, 3): [2]}
+    assert pools(plans) == {(small, (2, 0, False)): [0], (large, (3, 0, False)): [1, 2]}
+    assert pools(plans, share=False) == {
+        (small, (2, 0, False)): [0],
+        (small, (3, 0, False)): [1],
+        (large, (3, 0, False)): [2],
+    }

@@ -217,7 +217,7 @@ def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.M
 
     def tangents(s: torch.Tensor) -> torch.Tensor:
         K = torch.zeros(len(s), len(b.topology.conn), 24, 24, dtype=torch.float64)
-        b.folded(s, b.t.x[s]).add_tangents(K, Projection.NONE)
+        b.barriers(s).evaluate(b.t.x[s]).add_tangents(K, Projection.NONE)
         return K
 
     b.t.folds[:] = 1.0

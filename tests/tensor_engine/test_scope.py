@@ -33,9 +33,14 @@ FEATURES = {  # a line of the table: what it changes in a recipe
     "meshes with exact edges": {"indenter": {"shape": "mesh", "file": "key"}},
     "layers, domes, every material law": {"sensor": "digit"},
     "a gel with a Prony series, in timed movements": {"trajectory": TIMED, "sensor_overrides": PRONY},
+    "`stress` and `surface_stress` of such a gel": {
+        "trajectory": TIMED,
+        "sensor_overrides": PRONY,
+        "outputs": ["stress"],
+    },
     "inertia (`dynamics`)": {"dynamics": {"density_kg_m3": 1000, "frame_s": 0.01, "step_s": 0.01}},
     "gels from meshes, `mesh: tet`": {"mesh": "tet"},
-    "`uncertainty`": {"uncertainty": {"material": {"modulus": 0.1}}},
+    "`uncertainty`": {"uncertainty": {"material": {"poissons_ratio": 0.1}}},
     "grasps": {"grasp": {"mass_kg": 0.1}, "trajectory": [{"close": {"force_n": 1, "frames": 1}}]},
 }
 
