@@ -9,7 +9,6 @@ import time
 import numpy as np
 
 from benchmarks import photographs
-from benchmarks.real import sensor_of
 from benchmarks.results_page import in_own_processes
 from tacgen.base.terminal import say
 from tacgen.calibrate import optics, photometric_fit, solved_presses, steps
@@ -30,7 +29,7 @@ def draws(presses: int, count: int) -> list[list[int]]:
 
 def judged(name: str, given: list[int]) -> tuple[list[float], bool, str]:
     """Errors of normals [deg] in a unit's presses by the shipped file or a fit to some; whether it is written; told."""
-    unit, sensor, written, told = photographs.unit(name), sensor_of(FILES[name]), True, ""
+    unit, sensor, written, told = photographs.unit(name), photographs.sensor_of(FILES[name]), True, ""
     assert unit is not None
     steps.MAX_WORKERS = 1  # the other cores have draws of their own
     presses, faces = solved_presses.faced(sensor, unit.presses, {})
