@@ -3,18 +3,21 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks import calculix
 from benchmarks.referee import __main__ as referee
-from benchmarks.referee import reference, report
+from benchmarks.referee import reference, report, set_up
 from benchmarks.referee.case import CASES, CELL_MM, SHAPES, Case, mesh_of, spread
 from benchmarks.referee.player import Answer, NotPlayed
 from benchmarks.referee.players import MODULES, calculix_player, felupe_player, players
 from benchmarks.referee.players.tacgen_player import Tacgen
 from benchmarks.referee.score import score
+from tacgen.base.errors import UserError
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 COARSE = "{edge_mm: 1.0, dhat_mm: 0.05}"
@@ -155,3 +158,19 @@ def test_errors_are_for_people(capsys: pytest.CaptureFixture[str], monkeypatch: 
     monkeypatch.setattr(type(felupe_player.PLAYERS[0]), "available", lambda _: "not installed")
     assert referee.main(["--players", "linear_tets", "--cases", PRESS.name, "--reference"]) == 2
     assert "pip install felupe pypardiso" in capsys.readouterr().err
+
+
+def test_minutes_to_set_up_are_those_of_pip_and_the_first_press(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[list[str]]()
+
+    def run(command: list[str], **known: Any) -> SimpleNamespace:
+        asked.append(list(command))
+        assert not Path(known["env"]["XDG_CACHE_HOME"]).exists()
+        return SimpleNamespace(returncode="felupe" in command, stderr="Traceback\nno such package")
+
+    monkeypatch.setattr(set_up.subprocess, "run", run)
+    assert 0 <= set_up.minutes("mujoco_rigid") < 0.1
+    assert "mujoco" in asked[0]
+    assert asked[1][-4:-2] == ["--cases", PRESS.name]
+    with pytest.raises(UserError, match="felupe was not set up: no such package"):
+        set_up.minutes("felupe")
