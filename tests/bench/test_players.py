@@ -153,7 +153,7 @@ def test_friction_is_within_coulombs_cone_and_its_derivative_is_exact() -> None:
     shape = scene_of_row.build(row_of(BY_NAME["press ball"].recipe)).shape
     before = np.column_stack([rng.uniform(-1, 1, (300, 2)), np.full(300, 0.05)])
     y = before + rng.normal(size=(300, 3)) * (0.002, 0.002, 0.01)
-    kept = np.zeros(300), 0.01 * rng.normal(size=(300, 3)), np.zeros((300, 1), bool)
+    kept = np.zeros(300), 0.05 * rng.normal(size=(300, 3)), np.zeros((300, 1), bool)
     _, slope, (p, rub, sticks) = felupe_contact.contact(y, before, kept, shape, mu, False)
     size, touches = np.linalg.norm(rub, axis=1), p > 0
     assert (size <= mu * p * (1 + 1e-12)).all()
