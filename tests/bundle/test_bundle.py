@@ -30,7 +30,7 @@ from tacgen.outputs import LAYOUT
 
 MAPS = ("/frames/normals", "/frames/radiance")
 KEY = attributes()["input_key"]
-QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def random_array(rng: np.random.Generator, path: str, shape: tuple[int, ...], most: int) -> np.ndarray:

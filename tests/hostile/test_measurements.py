@@ -91,7 +91,7 @@ def calibrated(source: Path, folder: Path) -> str:
     return "wrong" if any(word in done.stdout for word in ("NaN", "Infinity")) else "accepted"
 
 
-@pytest.mark.parametrize(("kind", "count"), [("images", 6), ("forces", 12)])
+@pytest.mark.parametrize(("kind", "count"), [("images", 4), ("forces", 8)])
 def test_damaged_measurements(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, count: int
 ) -> None:
