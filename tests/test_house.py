@@ -7,7 +7,6 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
 from helpers.program import ran
 
 from tacgen.outputs import OUTPUTS
