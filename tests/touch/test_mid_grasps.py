@@ -85,7 +85,8 @@ def test_grasps_need_two_fingers(tmp_path: Path) -> None:
 
 def test_both_fingers_bear_the_weight(tmp_path: Path) -> None:
     source = Made([grasped()], [ball("ball", 0.02)])
-    prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=COARSE), tmp_path)
+    sets = (*COARSE, "quality={edge_mm: 1.5, dhat_mm: 0.15}")
+    prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=sets), tmp_path)
     touches = labels.felt(prepared, pipeline.run(prepared.plan.rows, tmp_path))
     ((left, right),) = touches
     assert [one.touched for one in (left, right)] == [[""] * 3 + ["ball"] * 3 + [""] * 2] * 2
