@@ -193,14 +193,6 @@ def test_without_durations_it_is_elastic_and_says_so(tmp_path: Path) -> None:
     assert (kept["/frames/force"] == there["/frames/force"]).all()
 
 
-def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
-    (tmp_path / "poses.csv").write_text(
-        "time,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{-0.1 * t},1,0,0,0\n" for t in (5, 5.1, 5.4))
-    )
-    text = HEAD + "  - replay: {file: poses.csv, units: mm}\n" + OVERRIDE
-    assert scene_of_row.build(plan.load(recipe(tmp_path, text)).rows[0]).duration == pytest.approx([0.1, 0.1, 0.3])
-
-
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [

@@ -71,10 +71,7 @@ def test_parts_are_solved_and_the_whole_is_written(tmp_path: Path, written: list
         (["--match", "both"], "--match both: must be one of pose, force, grip"),
         (["--near-mm", "0"], "--near-mm 0: must be more than 0"),
         (["--set", "trajectory[0].replay.every=2"], "trajectory comes from the episodes"),
-        (["--episodes", "7"], "made: holds no episode of those that are asked for"),
         (["--episodes", "1"], "episode 1: joints jump"),
-        (["--sensor", "right=gelsight_mimi@hand"], "gelsight_mimi"),
-        (["--sensor", "right=digit@arm"], "has no body arm for --sensor right (it has: ball, hand)"),
     ],
 )
 def test_what_is_refused_is_one_line(args: list[str], said: str, tmp_path: Path, written: list[Any]) -> None:
