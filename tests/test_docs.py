@@ -200,8 +200,10 @@ def test_the_table_of_sensor_parts_names_every_key(part: str, kind: type[Part]) 
     assert set(re.findall(r"`(\w+)`", may)) == kind.model_fields.keys() - needed - {"source"}
 
 
-@pytest.mark.parametrize(("script", "page"), [("command_page", "COMMANDS.md"), ("sensor_page", "SENSOR.md")])
-def test_pages_of_the_command_line_and_of_the_models_are_theirs(script: str, page: str) -> None:
+@pytest.mark.parametrize(
+    ("script", "page"), [("bundle_page", "BUNDLE.md"), ("command_page", "COMMANDS.md"), ("sensor_page", "SENSOR.md")]
+)
+def test_pages_of_bundle_command_line_and_sensor_are_what_their_scripts_print(script: str, page: str) -> None:
     made = ran(ROOT / f"scripts/{script}.py", COLUMNS="50")
     assert (DOCS / page).read_text() == made, f"run scripts/{script}.py > docs/{page}"
 

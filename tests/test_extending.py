@@ -236,7 +236,8 @@ def tacgen(folder: Path, *args: str) -> str:
     return ran("-m", "tacgen", *args, folder=folder, tacgen=folder)
 
 
-LONG = ("output", "law", "sensor")  # each a copy of the package in processes of its own
+# each a copy of the package in processes of its own, which for a shape and a law compiles its kernels anew
+LONG = ("shape", "law", "sensor")
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in TOYS])

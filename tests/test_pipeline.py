@@ -79,45 +79,35 @@ pipeline.run_scene(plan.load(Path({str(recipe)!r}), {sets}).rows[0], Path({str(t
     assert one.read_bytes() == (tmp_path / "two" / "scene-00000.h5").read_bytes()
 
 
-def test_force_alone_imports_no_renderer_and_computes_no_stress(recipe: Path, tmp_path: Path) -> None:
-    program = f"""
-import sys
-from pathlib import Path
-from tacgen.batch import pipeline
-from tacgen.recipe import plan
-row = plan.load(Path({str(recipe)!r})).rows[0]
-print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
-ours = ("tacgen.render.images", "tacgen.outputs.contact_maps", "tacgen.outputs.cauchy_stress")
-heavy = ("mitsuba", "drjit", "matplotlib", "trimesh", "pytetwild", *ours)
-print([name for name in heavy if name in sys.modules])
-"""
-    assert ran("-c", program).split("\n")[:2] == ["ok", "[]"]
-    shapes = bundle.read(tmp_path / "out" / "scene-00000.h5").shapes
-    assert "/frames/force" in shapes
-    assert not [path for path in shapes if path.startswith(("/fields", "/mesh", "/reference"))]
-    assert not {"/frames/rgb", "/frames/pressure", "/frames/markers", "/frames/height"} & shapes.keys()
-
-
-def test_images_of_a_clear_gel_do_not_import_mitsuba(tmp_path: Path) -> None:
-    """It need not be installed, and where it is it is not even asked what it can do."""
+def test_force_alone_imports_no_renderer_and_images_of_a_clear_gel_no_mitsuba(recipe: Path, tmp_path: Path) -> None:
+    """Nor is stress computed. Mitsuba need not be installed, and where it is it is not even asked what it can do."""
     program = f"""
 import importlib.metadata, sys
 from pathlib import Path
 from tacgen.batch import pipeline
 from tacgen.recipe import plan
+row = plan.load(Path({str(recipe)!r})).rows[0]
+print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "force").status)
+ours = ("tacgen.render.images", "tacgen.outputs.contact_maps", "tacgen.outputs.cauchy_stress")
+heavy = ("mitsuba", "drjit", "matplotlib", "trimesh", "pytetwild", *ours)
+print([name for name in heavy if name in sys.modules])
+
 sys.modules["mitsuba"] = sys.modules["drjit"] = None
 known = importlib.metadata.version
 def version(name):
     assert name not in ("mitsuba", "drjit"), name
     return known(name)
 importlib.metadata.version = version
-sets = ["outputs=[rgb]", "quality={{edge_mm: 2.0, dhat_mm: 0.2, spp: 4}}"]
-sets += ["trajectory=[{{press: {{depth_mm: 0.3, frames: 1}}}}]", *{SMALL_CAMERA}]
-row = plan.load(Path({str(assets.recipe_path("quickstart"))!r}), sets).rows[0]
-print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
+sets = ["outputs=[rgb]", "trajectory=[{{press: {{depth_mm: 0.3, frames: 1}}}}]", *{SMALL_CAMERA}]
+row = plan.load(Path({str(recipe)!r}), sets).rows[0]
+print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "images").status)
 """
-    assert ran("-c", program).split() == ["ok"]
-    assert bundle.read(tmp_path / "out" / "scene-00000.h5").attrs["renderer"] == "transport"
+    assert ran("-c", program).split("\n")[:3] == ["ok", "[]", "ok"]
+    shapes = bundle.read(tmp_path / "force" / "scene-00000.h5").shapes
+    assert "/frames/force" in shapes
+    assert not [path for path in shapes if path.startswith(("/fields", "/mesh", "/reference"))]
+    assert not {"/frames/rgb", "/frames/pressure", "/frames/markers", "/frames/height"} & shapes.keys()
+    assert bundle.read(tmp_path / "images" / "scene-00000.h5").attrs["renderer"] == "transport"
 
 
 @pytest.mark.parametrize(

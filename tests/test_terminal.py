@@ -52,10 +52,15 @@ def test_a_run_goes_on_when_nobody_reads_what_it_prints(tmp_path: Path, streams:
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["show out", "--help", *(pytest.param(name, marks=pytest.mark.slow) for name in ("list sensors", "--version"))],
+    ("command", "unbuffered"),
+    [
+        ("show out", ""),
+        ("--help", "1"),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("show out", "1"), ("--help", ""))),
+        *(pytest.param("list sensors", each, marks=pytest.mark.slow) for each in ("", "1")),
+        *(pytest.param("--version", each, marks=pytest.mark.slow) for each in ("", "1")),
+    ],
 )
-@pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_results_that_nobody_gets_are_no_success(
     tmp_path: Path, command: str, unbuffered: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

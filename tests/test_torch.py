@@ -82,7 +82,8 @@ def test_an_object_is_in_one_part_alone_whatever_the_folder(tmp_path: Path) -> N
         recipe = attributes()["recipe"] | {"indenter": indenter}
         for folder in ("one", "two"):
             key = f"{i if folder == 'one' else 99 - i:064d}"
-            write(tmp_path / folder / f"scene-{i:05d}.h5", scene_index=i, input_key=key, recipe=recipe)
+            known = {"scene_index": i, "input_key": key, "recipe": recipe, "outputs": frozenset({"force"})}
+            write(tmp_path / folder / f"scene-{i:05d}.h5", **known)
     how = {"fractions": (0.5, 0.25, 0.25), "by_object": True}
     parts = []
     for folder in ("one", "two"):

@@ -87,17 +87,25 @@ class Issue:
 
 def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Issue]]:
     """Validate plain data strictly (neither text nor true is a number): the model, or all problems."""
-    numbers = [
-        (path, value) for path, value in leaves(data) if isinstance(value, int | float) and path[-1:] != ("seed",)
-    ]
-    if huge := [(path, value) for path, value in numbers if MAX_NUMBER < abs(value) < math.inf]:
-        return None, [Issue(path, f"must be within {MAX_NUMBER:g} (got {value:g})") for path, value in huge]
+    if _has_huge(data):  # seldom, and the paths of all numbers take longer than all else here
+        huge = [(path, value) for path, value in leaves(data) if _has_huge(value) and path[-1:] != ("seed",)]
+        if huge:
+            return None, [Issue(path, f"must be within {MAX_NUMBER:g} (got {value:g})") for path, value in huge]
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
     except ValidationError as error:
         problems = [_problem(model, data, e) for e in error.errors(include_url=False) if not _repeats_another(data, e)]
         misspelt = {(*p.path[:-1], p.meant) for p in problems if p.meant}
         return None, _together([p for p in problems if p.path not in misspelt])  # misspelt, not missing
+
+
+def _has_huge(data: Any) -> bool:
+    """Whether one of these plain values is a finite number beyond MAX_NUMBER."""
+    if isinstance(data, dict):
+        return any(map(_has_huge, data.values()))
+    if isinstance(data, list | tuple):
+        return any(map(_has_huge, data))
+    return isinstance(data, int | float) and MAX_NUMBER < abs(data) < math.inf
 
 
 def explained(model: type[BaseModel], data: Any, error: ValidationError) -> UserError:

@@ -3,14 +3,13 @@
 import ast
 import doctest
 import inspect
-import os
 import re
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from helpers.program import ran
 
 import tacgen
 
@@ -64,9 +63,9 @@ def test_pages_and_examples_take_private_names_from_pages_alone() -> None:
 
 def test_importing_it_loads_nothing_else() -> None:
     ask = "import sys; before = {*sys.modules}; import tacgen; dir(tacgen); print(*sorted({*sys.modules} - before))"
-    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, cwd=ROOT, check=True)
-    assert {name.split(".")[0] for name in done.stdout.split()} - sys.stdlib_module_names == {"tacgen"}
-    ours = {name for name in done.stdout.split() if name.startswith("tacgen.")}
+    names = ran("-c", ask).split()
+    assert {name.split(".")[0] for name in names} - sys.stdlib_module_names == {"tacgen"}
+    ours = {name for name in names if name.startswith("tacgen.")}
     assert ours == {"tacgen.base", "tacgen.base.version"}
 
 
@@ -99,6 +98,5 @@ def test_the_page_on_python_runs(tmp_path: Path) -> None:
     (tmp_path / "objects").symlink_to(ROOT / "objects")
     for block in PYTHON.findall((ROOT / "docs/python.md").read_text()):
         (tmp_path / "block.py").write_text(block)
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        subprocess.run([sys.executable, "block.py"], cwd=tmp_path, check=True, env=environment)
+        ran("block.py", folder=tmp_path)
     assert len([*(tmp_path / "out/batch").glob("*.h5")]) > 1

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 import trimesh
 from helpers import synthetic
+from helpers.command import told
 from helpers.small_recipe import HEAD
 from PIL import Image
-from typer.testing import CliRunner
 
 import tacgen
 from tacgen.base.errors import LeftOut
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle, field_names
-from tacgen.cli.main import app
 from tacgen.outputs import LAYOUT
 from tacgen.recipe import plan
 
@@ -82,8 +81,7 @@ def test_the_figure_is_that_of_show(frames: tacgen.Frames, tmp_path: Path) -> No
     for field in ("", "stress"):
         options = [f"--field={field}"] if field else []
         shown, plotted = tmp_path / f"shown{field}.png", tmp_path / f"plotted{field}.png"
-        done = CliRunner().invoke(app, ["show", str(frames.bundle.path), *options, "-o", str(shown)])
-        assert done.exit_code == 0, done.output
+        told("show", frames.bundle.path, *options, "-o", shown)
         frames.plot(field).savefig(plotted, dpi=150)
         assert shown.read_bytes() == plotted.read_bytes()
     with pytest.raises(tacgen.UserError, match="strss: unknown field, did you mean stress"):

@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.command import told
 from helpers.synthetic import write
-from typer.testing import CliRunner
 
 import tacgen
 from tacgen.bundle.bundle import read
 from tacgen.bundle.force_error import ERROR_BY_MESH, STD_BY_UNCERTAINTY, force_error
-from tacgen.cli import main as cli
 from tacgen.mechanics.expected_error import expected_force_error
 from tacgen.mechanics.face_overlap import Overlap
 
@@ -24,14 +23,14 @@ def frames() -> tacgen.Frames:
 def test_a_scene_has_the_error_that_its_mesh_gives(frames: tacgen.Frames, tmp_path: Path) -> None:
     relative = frames["/frames/quality/expected_force_error"]
     width = np.sqrt(2 * 4 * np.array([0.25, 0.5]))
-    told = [expected_force_error(1.2, Overlap(np.pi * w**2, 2 * np.pi * w), 4.0) for w in width]
-    assert relative == pytest.approx(told, rel=0.03)
+    expected = [expected_force_error(1.2, Overlap(np.pi * w**2, 2 * np.pi * w), 4.0) for w in width]
+    assert relative == pytest.approx(expected, rel=0.03)
     assert frames.force_error == pytest.approx(relative * np.linalg.norm(frames.force, axis=1))
     path = frames.save(tmp_path / "scene.h5")
-    said = CliRunner().invoke(cli.app, ["show", str(path)]).stdout
+    said = told("show", path)
     assert f"N on the gel, \N{PLUS-MINUS SIGN} about {frames.force_error[1]:.1g} N ({ERROR_BY_MESH})" in said
     page = tmp_path / "view.html"
-    assert CliRunner().invoke(cli.app, ["view", str(path), "-o", str(page)]).exit_code == 0
+    told("view", path, "-o", page)
     assert f"\\u00b1 about {frames.force_error[1]:.1g} N" in page.read_text()
 
 
@@ -51,10 +50,8 @@ def test_an_earlier_bundle_has_none(tmp_path: Path) -> None:
 
 
 def test_validate_tells_it_before_the_run() -> None:
-    said = CliRunner().invoke(cli.app, ["validate", "quickstart"]).stdout
+    said = told("validate", "quickstart")
     assert "note: expected error of the force by the mesh: about 1 %, within a factor of 2 (edges of 0.36 mm" in said
-    coarse = CliRunner().invoke(cli.app, ["validate", "quickstart", "--set", "quality=draft"]).stdout
-    assert "about 4 %" in coarse
+    assert "about 4 %" in told("validate", "quickstart", "--set", "quality=draft")
     press = "trajectory=[{press: {force_n: 1, frames: 1}}]"
-    forced = CliRunner().invoke(cli.app, ["validate", "quickstart", "--set", press]).stdout
-    assert "expected error" not in forced, "the depth is not known yet"
+    assert "expected error" not in told("validate", "quickstart", "--set", press), "the depth is not known yet"

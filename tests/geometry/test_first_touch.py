@@ -153,7 +153,7 @@ def test_what_can_never_touch_is_refused_before_the_run(tmp_path: Path) -> None:
     said = refused("validate", recipe(tmp_path, "press: {depth_mm: 0.6, frames: 1}", ring)).splitlines()[0]
     assert "trajectory[0].press: nothing of the indenter is over the gel" in said
     path = recipe(tmp_path, "press: {force_n: 1, frames: 1}")
-    trimesh.creation.annulus(30.0, 34.0, 4.0).export(tmp_path / "drawn.stl")
+    trimesh.creation.annulus(18.0, 20.0, 2.0).export(tmp_path / "drawn.stl")
     assert "nothing of the indenter is over the gel" in refused("validate", path)
     with pytest.raises(UserError, match="nothing of the indenter is over the gel"):
         scene_of_row.build(plan.load(path).rows[0])

@@ -11,18 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.command import tacgen_
 from helpers.export_scenes import SENSOR, SHAPE, needs_package_of, real
 from helpers.scenes import make_plan
 from helpers.small_recipe import BALL
 from helpers.synthetic import OUTPUTS, attributes, write
-from typer.testing import CliRunner
 
 from hostile.attempts import LOG_TABLE
 from tacgen import batch, replay
 from tacgen.base import atomic_file, output_file, regular_file
 from tacgen.base.errors import UserError
 from tacgen.bundle.resume import SceneResult
-from tacgen.cli.main import app
 from tacgen.export import EXPORTERS, export
 from tacgen.recipe import assets
 from tacgen.replay import comparison
@@ -35,7 +34,7 @@ REPLAYED = f"{BALL}outputs: [force]\nquality: draft\ntrajectory: [{{replay: {{fi
 
 def command(*args: object) -> tuple[int, str]:
     """Exit code and stderr."""
-    done = CliRunner().invoke(app, [str(arg) for arg in args])
+    done = tacgen_(*args)
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
     return done.exit_code, done.stderr
 
@@ -400,6 +399,6 @@ def test_no_control_character_of_a_name_reaches_the_terminal(tmp_path: Path) -> 
         ["list", name],
     )
     for words in commands:
-        done = CliRunner().invoke(app, [str(word) for word in words])
+        done = tacgen_(*words)
         assert not set("\x1b\x07\x9b") & set(done.output), words
         assert done.exception is None or isinstance(done.exception, SystemExit), words

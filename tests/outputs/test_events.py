@@ -38,7 +38,7 @@ def made(
     folder: Path, indenter: str, friction: float, moves: list[str], more: tuple[str, ...] = (), outputs: str = "events"
 ) -> Bundle:
     sets = f"indenter={indenter}", f"contact.friction={friction}", f"outputs=[{outputs}]", "start.clearance_mm=0.4"
-    return read(pipeline.run_scene(small_recipe.row(", ".join(moves), "quality=draft", *sets, *more), folder).path)
+    return read(pipeline.run_scene(small_recipe.row(", ".join(moves), *sets, *more), folder).path)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -76,7 +76,8 @@ def test_a_caption_rounds_and_names_the_finger_of_a_grasp(tmp_path: Path) -> Non
 
 
 def test_share_area_and_center_agree_with_the_maps(tmp_path: Path) -> None:
-    bundle = made(tmp_path, BALL, 0.6, [PRESS, "slide: {x_mm: 0.6, frames: 2}"], outputs="events, traction, force_map")
+    moves, fine = [PRESS, "slide: {x_mm: 0.6, frames: 2}"], ("quality=draft",)
+    bundle = made(tmp_path, BALL, 0.6, moves, fine, "events, traction, force_map")
     force = bundle["/frames/pressure"] * bundle["/frames/area"]
     slid = (force * bundle["/frames/sliding"]).sum((1, 2)) / force.sum((1, 2))
     assert bundle["/frames/events/stick_ratio"] == pytest.approx(1 - slid, abs=0.01)

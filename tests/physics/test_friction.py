@@ -105,13 +105,6 @@ def test_a_release_leaves_nothing(slide: Run) -> None:
     assert not last.sliding.any()
 
 
-def test_without_friction_nothing_drags() -> None:
-    smooth = run(scene(SphereSdf(3.0), poses([(-0.5, 0, -0.5), (0.5, 0, -0.5)])), (-2.6, 2.6, -2.0, 2.0))
-    assert smooth.states[-1].friction is None
-    assert smooth.states[-1].sliding is None
-    assert np.abs(smooth.forces[-1, :2]).max() < 5e-3 * abs(smooth.forces[-1, 2])
-
-
 def test_frames_hardly_matter() -> None:
     """The same slide in 3 and in 9 frames."""
 

@@ -1,11 +1,9 @@
 """Launches on a core: what changes from one to the next is given anew, and arrays of other types are refused."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import warp as wp
+from helpers.program import ran
 
 from tacgen.physics import MAX_UNROLLED_STEPS
 from tacgen.physics.runtime import call
@@ -58,5 +56,4 @@ def test_what_other_programs_compile_is_not_changed() -> None:
     told = "import warp as wp; before = vars(wp.config).copy(); import tacgen.physics.elements;"
     told += f"print([n for n in {names} if vars(wp.config)[n] != before[n]],"
     told += "wp.get_module('tacgen.physics').options['max_unroll'])"
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["[]", str(MAX_UNROLLED_STEPS)]
+    assert ran("-c", told).split() == ["[]", str(MAX_UNROLLED_STEPS)]

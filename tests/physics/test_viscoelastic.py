@@ -6,17 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import presses
+from helpers.command import told
 from helpers.presses import Run, gel, poses
 from helpers.small_recipe import HEAD
 from scipy.interpolate import PchipInterpolator
-from typer.testing import CliRunner
 
 from tacgen import mechanics
 from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
-from tacgen.cli.main import app
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.gel import GelBody
@@ -182,23 +181,14 @@ UNTIMED = RECIPE.replace(", duration_s: 0.2", "").replace(", duration_s: 1", "")
 
 def test_without_durations_it_is_elastic_and_says_so(tmp_path: Path) -> None:
     note = "no movement says how long it takes: every frame is an equilibrium, and the gel's prony has no effect"
-    said = CliRunner().invoke(app, ["validate", str(recipe(tmp_path, UNTIMED))]).output
-    assert note in said
-    assert note not in CliRunner().invoke(app, ["validate", str(recipe(tmp_path))]).output
+    assert note in told("validate", recipe(tmp_path, UNTIMED))
+    assert note not in told("validate", recipe(tmp_path))
     kept = bundle.read(pipeline.run_scene(plan.load(recipe(tmp_path, UNTIMED)).rows[0], tmp_path / "still").path)
     assert note in kept.attrs["notes"]
     assert "/frames/time" not in kept
     elastic = plan.load(recipe(tmp_path, UNTIMED.removesuffix(OVERRIDE))).rows[0]
     there = bundle.read(pipeline.run_scene(elastic, tmp_path / "elastic").path)
     assert (kept["/frames/force"] == there["/frames/force"]).all()
-
-
-def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
-    (tmp_path / "poses.csv").write_text(
-        "time,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{-0.1 * t},1,0,0,0\n" for t in (5, 5.1, 5.4))
-    )
-    text = HEAD + "  - replay: {file: poses.csv, units: mm}\n" + OVERRIDE
-    assert scene_of_row.build(plan.load(recipe(tmp_path, text)).rows[0]).duration == pytest.approx([0.1, 0.1, 0.3])
 
 
 @pytest.mark.parametrize(

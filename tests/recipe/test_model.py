@@ -405,7 +405,7 @@ def to_yaml(data: Any) -> str:
     return text.getvalue()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(recipes)
 def test_a_recipe_survives_being_written_and_read(data: dict[str, Any]):
     recipe, wrong = validate(Recipe, data)

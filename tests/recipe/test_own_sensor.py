@@ -4,15 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from helpers.command import tacgen_
 
-from tacgen.cli import main as cli
 from tacgen.recipe import assets, loading, plan
 from tacgen.sensor.usual_values import assumed
-
-
-def tacgen_(*words: str):
-    return CliRunner().invoke(cli.app, list(words))
 
 
 @pytest.mark.parametrize("name", assets.list_sensors())

@@ -2,13 +2,12 @@
 
 import hashlib
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import tiny
+from helpers.program import ran
 from helpers.tiny import PLAIN, sensor
 
 from tacgen.optics.camera import PinholeCamera
@@ -152,10 +151,8 @@ def test_bytes_are_the_same_at_any_thread_count(tmp_path, monkeypatch):
         "    r = images.Renderer(one, 2, 0, one.markers is not None, 'scalar_rgb')\n"
         "    print(hashlib.sha256(r.image(DENT).tobytes()).hexdigest())"
     )
-    env = os.environ | {"TACGEN_CACHE_DIR": str(tmp_path / "there")}
-    env["PYTHONPATH"] = os.pathsep.join(map(str, (Path(__file__).parents[1], Path(__file__).parents[2])))
-    ran = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True, timeout=120)
-    assert ran.stdout.split() == digests
+    paths = os.pathsep.join(map(str, (Path(__file__).parents[1], Path(__file__).parents[2])))
+    assert ran("-c", code, TACGEN_CACHE_DIR=str(tmp_path / "there"), PYTHONPATH=paths).split() == digests
 
 
 def test_no_paths_are_refused():

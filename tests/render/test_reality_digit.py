@@ -72,6 +72,7 @@ def test_shadows_end_where_the_real_ones_do(changes):
         assert dark[-1] > 0.1 * dark.min()
 
 
+@pytest.mark.slow
 def test_shadows_end_as_crisply_as_the_real_ones(changes):
     """Way over which a shadow rises from 25 % to 85 %, mean of the three: it is longer under lamps that are taller."""
     press, *both = changes

@@ -5,11 +5,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from helpers.command import tacgen_
 from helpers.needs import needs
-from typer.testing import CliRunner
 
 from tacgen.base.errors import UserError
-from tacgen.cli.main import app
 from tacgen.geometry import mesh_file, mesh_import
 from tacgen.recipe import indenters
 from tacgen.touch import kinematics, surfaces
@@ -252,8 +251,8 @@ def test_episodes_whose_models_differ_in_what_is_touched_are_refused(tmp_path: P
 )
 def test_what_a_model_lacks_is_told_in_one_line(thing: str, body: str, said: str, tmp_path: Path) -> None:
     path = recorded(tmp_path, ("demo_0",), PRESS.replace("</worldbody>", '<body name="mark"/></worldbody>'))
-    sensor, out = f"left=gelsight_mini@{body}", str(tmp_path / "out/felt.hdf5")
-    done = CliRunner().invoke(app, ["touch", str(path), "--object", thing, "--sensor", sensor, "-o", out])
+    words = "--object", thing, "--sensor", f"left=gelsight_mini@{body}", "-o", tmp_path / "out/felt.hdf5"
+    done = tacgen_("touch", path, *words)
     assert (done.exit_code, len(done.output.splitlines())) == (2, 1), done.output
     assert said in done.output
     assert [each.name for each in tmp_path.iterdir()] == ["demo.hdf5"]

@@ -71,10 +71,8 @@ def test_what_is_no_grasp_is_said() -> None:
     assert why(alone, ball("ball", 0.02)) == [grasps.ALONE]
 
 
-def test_grasps_need_two_fingers(tmp_path: Path) -> None:
+def test_a_grasp_is_a_scene_with_the_mass_of_its_object(tmp_path: Path) -> None:
     source = Made([grasped()], [ball("ball", 0.02)])
-    with pytest.raises(UserError, match="--match grip: needs two fingers, and 1 are given"):
-        scenes.prepare(source, [LEFT], TouchChoice("grip"), tmp_path)
     prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=COARSE[:1]), tmp_path)
     (scene,) = prepared.scenes
     recipe = prepared.plan.rows[scene].recipe
@@ -85,7 +83,8 @@ def test_grasps_need_two_fingers(tmp_path: Path) -> None:
 
 def test_both_fingers_bear_the_weight(tmp_path: Path) -> None:
     source = Made([grasped()], [ball("ball", 0.02)])
-    prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=COARSE), tmp_path)
+    sets = (*COARSE, "quality={edge_mm: 1.5, dhat_mm: 0.15}")
+    prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=sets), tmp_path)
     touches = labels.felt(prepared, pipeline.run(prepared.plan.rows, tmp_path))
     ((left, right),) = touches
     assert [one.touched for one in (left, right)] == [[""] * 3 + ["ball"] * 3 + [""] * 2] * 2

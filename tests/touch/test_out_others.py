@@ -90,10 +90,9 @@ def test_rerun_shows_object_gripper_pictures_and_forces(tmp_path: Path) -> None:
         written(into_rerun, source, both(), tmp_path / "out")
 
 
-@pytest.mark.parametrize("kind", ["webp", "gif"])
-def test_a_film_shows_both_fingers_in_every_row(kind: str, tmp_path: Path) -> None:
+def test_a_film_shows_both_fingers_in_every_row(tmp_path: Path) -> None:
     source = recorded(tmp_path / "given")
-    (made,) = written(film, source, both(1), tmp_path / f"film.{kind}")
+    (made,) = written(film, source, both(1), tmp_path / "film.webp")
     with Image.open(made) as image:
         assert getattr(image, "n_frames", 1) == ROWS
         image.seek(3)
@@ -118,7 +117,8 @@ def test_the_name_of_the_output_says_what_is_written(tmp_path: Path) -> None:
     for name in ("out.hdf5", "out.gif"):
         copies.write(source, source.held[:1], both(1), tmp_path / name, overwrite=False)
     assert (tmp_path / "out.hdf5").read_bytes()[:4] == b"\x89HDF"
-    assert (tmp_path / "out.gif").read_bytes()[:3] == b"GIF"
+    with Image.open(tmp_path / "out.gif") as image:
+        assert (image.format, getattr(image, "n_frames", 1)) == ("GIF", ROWS)
     for name in ("out.hdf5", "out.gif"):
         with pytest.raises(UserError, match="is there already; --overwrite replaces it"):
             copies.refuse(source, 1, tmp_path / name, overwrite=False)
