@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("numpy", "scipy", "warp-lang", "cvxopt", "pymetis", "mitsuba", "drjit", "h5py")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
 MARKERS = "osD^vPX*"  # one more than colours, so that the eighth series differs from the first
-LONGEST = 105  # words of a table on the page: longer ones stay in the JSON, which the page names
+LONGEST = 85  # words of a table on the page: longer ones stay in the JSON, which the page names
 CHILD = """
 import importlib, json, sys
 module, name = sys.argv[1].split(":")

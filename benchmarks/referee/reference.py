@@ -15,10 +15,10 @@ from benchmarks.results_page import ROOT, Say
 from tacgen.base.errors import UserError
 
 FORCES, MAPS = ROOT / "docs/results/referee_reference.json", ROOT / "docs/results/referee_reference.npz"
-# Sizes of FElupe's elements by shape, and its settings, the reference first: without friction, and with it. On one mesh
-# reduced integration (2 points of Gauss along an edge) is too soft, full integration (3) too stiff.
-SMOOTH_MM = {"ball": 0.45, "punch": 0.45, "ring": 0.45, "edge": 0.64}
-FRICTION_MM = {"ball": 0.64, "punch": 0.64, "edge": 0.9}
+# Sizes of FElupe's elements [mm] by shape, with reduced integration (2 points of Gauss an edge), which is too soft, and
+# with full integration (3), which is too stiff; and its other settings, the reference first.
+SMOOTH_MM = {"ball": (0.45, 0.45), "punch": (0.45, 0.45), "ring": (0.45, 0.45), "edge": (0.64, 0.64)}
+FRICTION_MM = {"ball": (0.64, 0.64), "punch": (0.64, 0.64), "edge": (0.9, 0.64)}
 SMOOTH = ({"steps": 4, "points": 2}, {"steps": 4, "points": 3})
 FRICTION = ({"steps": 8, "points": 2}, *SMOOTH)
 CLOSED = "closed form"
@@ -50,7 +50,7 @@ def judged(case: Case) -> Judged:
     if ours.available():
         raise UserError("the reference needs FElupe: pip install felupe pypardiso")
     sizes, ways = (FRICTION_MM, FRICTION) if case.friction else (SMOOTH_MM, SMOOTH)
-    played = [ours.run(case, {"edge_mm": sizes[case.shape]} | how) for how in ways]
+    played = [ours.run(case, {"edge_mm": sizes[case.shape][how["points"] - 2]} | how) for how in ways]
     apart = ([getattr(a, part) - getattr(b, part) for a, b in pairwise(played)] for part in ("force", "torque"))
     judge = f"{ours.name} ({ours.version()})"
     return Judged(judge, played[0], *(np.linalg.norm(each, axis=-1).sum(0) for each in apart))
