@@ -52,4 +52,4 @@ def run(case: Case, how: Settings) -> Answer:
     return Answer(found.force[frames], found.torque[frames], seconds, dict(how), pressure, traction, markers)
 
 
-PLAYERS = (Program("CalculiX", (), (), {"default": {"scale": 1.4}, "finer": {"scale": 1.0}}, run),)
+PLAYERS = (Program("CalculiX", (), (), {"default": {"scale": 1.4}}, run),)
