@@ -1,7 +1,8 @@
 """Genesis: the pad by its implicit FEM, a rigid shape led along the path, contact by its SAP coupler (hydroelastic):
 all as in its examples, with the pad's E, nu and density. Forces are the impulses of the coupler's contact. Lengths are
 100 times as long, forces 10 000 times as large, since the coupler leaves out contact of areas smaller than its
-constants; the shape then moves by at most 7 mm a step of 1/60 s, and rests. On a core, in double precision.
+constants; the shape moves by at most 7 mm a step of 1/60 s, and rests. On a core, in double precision. Tuned is the
+factor of its moduli with the least error in the presses, where forces are proportional to it: 91 -> 13 %.
 """
 
 import tempfile
@@ -15,7 +16,7 @@ from benchmarks.referee.engines import LEAST_FRICTION, begin_genesis
 from benchmarks.referee.player import Answer, NotPlayed
 from benchmarks.referee.playing import Settings, Simulator, answer, place, steps
 
-DEFAULT = {"young_factor": 1.0, "cell_mm": 2.0}
+CHOSEN = {"default": {"young_factor": 1.0, "cell_mm": 2.0}, "tuned": {"young_factor": 0.51, "cell_mm": 2.0}}
 M_PER_MM, STEP_S, SUBSTEPS = 0.1, 1 / 60, 2
 MOVING, RESTING = 6, 10  # steps from frame to frame, and at rest in it
 CHORD_MM, HEAVY_KG = 0.02, 1e8  # between the shape and its facets; mass of the shape, which contact does not move
@@ -27,8 +28,7 @@ def run(case: Case, how: Settings) -> Answer:
     """Play with a factor of both moduli, and with tetrahedra of this size."""
     if case.mass_kg:
         raise NotPlayed("a free body between two soft pads was not set up")
-    scene, shape = _scene(case, how["young_factor"], how["cell_mm"])
-    found, start = [], 0.0
+    (scene, shape), found, start = _scene(case, how["young_factor"], how["cell_mm"]), [], 0.0
     for _, pose, judged in steps(case, MOVING, RESTING):
         shape.set_qpos(place(pose, M_PER_MM))
         shape.set_dofs_velocity(np.zeros(6))
@@ -77,4 +77,4 @@ def _scene(case: Case, young_factor: float, cell_mm: float) -> tuple[Any, Any]:
     return scene, shape
 
 
-PLAYERS = (Simulator("Genesis FEM", ("genesis", "torch"), ("genesis-world",), {"default": DEFAULT}, run),)
+PLAYERS = (Simulator("Genesis FEM", ("genesis", "torch"), ("genesis-world",), CHOSEN, run),)

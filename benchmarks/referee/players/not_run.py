@@ -26,6 +26,7 @@ class Absent:
 
 PLAYERS = (
     Absent("Newton MPM, implicit", "a punch pressed by .4 mm met 2 % of the force at voxels of 2 mm: not understood"),
+    Absent("Genesis MPM", "not set up: a rigid body meets its points by speeds on a grid, as in Newton's"),
     Absent("Newton Style3D", "cloth alone: the solver leaves out tetrahedra"),
     Absent("Newton MuJoCo", "rigid bodies alone: the solver leaves out points"),
     Absent("Warp FEM", "its example of contact, in 2D, glues two bodies: nothing presses, slides or lets go"),
