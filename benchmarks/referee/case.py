@@ -85,6 +85,11 @@ class Case:
         return self.mass_kg * STANDARD_GRAVITY_M_S2
 
     @property
+    def moved(self) -> set[str]:
+        """Names of a pose's numbers that are not 0 on the whole path."""
+        return {name for name, *values in zip(Pose._fields, *self.poses, strict=True) if any(values)}
+
+    @property
     def clearance(self) -> float:
         """Height of the lowest point above the pad before the first frame [mm]: the largest z of the path."""
         return max(0.0, max(pose.z for pose in self.poses))

@@ -1,5 +1,6 @@
 """Helpers that players of other simulators share: how they are described, paths in steps, and forces at points."""
 
+import ctypes
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -39,6 +40,20 @@ class Simulator:
 
     def play(self, case: Case, setting: str) -> Answer:
         return self.run(case, self.chosen[setting])
+
+
+@dataclass(frozen=True)
+class OnCuda(Simulator):
+    """A simulator that needs a CUDA GPU."""
+
+    def available(self) -> str | None:
+        if (absent := super().available()) is not None:
+            return absent
+        try:
+            found = ctypes.CDLL("libcuda.so.1").cuInit(0) == 0
+        except OSError:
+            found = False
+        return None if found else "needs a CUDA GPU"
 
 
 def steps(case: Case, moving: int, resting: int, *, creeping: bool = False) -> Iterator[tuple[Pose, Pose, bool]]:

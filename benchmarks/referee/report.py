@@ -100,16 +100,8 @@ def tables(entries: Sequence[Entry]) -> list[Table]:
     rows: list[list[Cell]] = []
     for one in ran:
         numbers: list[Cell] = [float(how(v)) if (v := values(one, part)) else None for _, part, how in MEANS]
-        rows.append(
-            [
-                one["player"],
-                one["setting"],
-                len(scores(one)),
-                *numbers,
-                minutes.get(one["player"]),
-                "GPU" if on_gpu(one) else None,
-            ]
-        )
+        last: tuple[Cell, Cell] = minutes.get(one["player"]), "GPU" if on_gpu(one) else None
+        rows.append([one["player"], one["setting"], len(scores(one)), *numbers, *last])
     heads = columns("player", "setting", "cases: d", *(head for head, *_ in MEANS), "minutes to set up: .1f", "on")
     by_case: list[list[Cell]] = [
         [label(one), *(float(np.mean(one["cases"][c.name]["force"])) if c.name in scores(one) else None for c in CASES)]

@@ -20,7 +20,7 @@ from tacgen.base.errors import UserError
 from tacgen.base.terminal import say
 
 MINUTES = ROOT / "docs/results/referee_set_up.json"
-TACGEN = (".",)  # what pip installs of a player without distributions of its own
+TACGEN = (".",)  # what pip installs of tacgen's own player
 CACHES = ("XDG_CACHE_HOME", "WARP_CACHE_PATH", "HOME")  # folders where simulators keep what they compile
 
 
@@ -28,9 +28,11 @@ def minutes(name: str) -> float:
     """Minutes to set up one player.
 
     Raises:
-        UserError: pip or the player failed.
+        UserError: pip does not bring the player, or it failed or did not run.
     """
-    wanted = getattr(players(name)[0], "distributions", TACGEN) or TACGEN
+    wanted = getattr(players(name)[0], "distributions", TACGEN)
+    if not wanted:
+        raise UserError(f"{name} was not set up: pip does not install it")
     with tempfile.TemporaryDirectory() as folder:
         caches = dict.fromkeys(CACHES, f"{folder}/caches")
         packages = os.pathsep.join((f"{folder}/packages", str(ROOT)))
@@ -39,7 +41,7 @@ def minutes(name: str) -> float:
         first = (sys.executable, "-m", "benchmarks.referee", "--players", name, "--cases", CASES[0].name, "-o", folder)
         for command in (pip, first):
             done = subprocess.run(command, cwd=ROOT, env=known, capture_output=True, text=True, check=False)
-            if done.returncode:
+            if done.returncode or ": not run: " in done.stderr:
                 raise UserError(f"{name} was not set up: {done.stderr.strip().splitlines()[-1]}")
         return (time.monotonic() - start) / 60
 
@@ -54,7 +56,7 @@ def main() -> None:
     ask = argparse.ArgumentParser("python -m benchmarks.referee.set_up", description=__doc__)
     ask.add_argument("names", nargs="+", choices=MODULES)
     for name in ask.parse_args().names:
-        found = {one.name: round(minutes(name), 1) for one in players(name)}
+        found = dict.fromkeys([one.name for one in players(name)], round(minutes(name), 1))
         MINUTES.write_text(json.dumps(kept() | found, indent=1) + "\n")
         say(f"{name}: {found} minutes")
 

@@ -85,4 +85,4 @@ def _unpacked(packed: Mapping[str, Array]) -> Iterator[History]:
         known["pose"] = Pose(packed["rotation"][k], packed["position"][k])
         if np.isfinite(packed["predicted"][k]).all():
             known |= {"predicted": packed["predicted"][k], "predictor_error": (packed["error"][k], packed["motion"][k])}
-        yield History(velocity=None, internal={}, **known)
+        yield History(**known)

@@ -23,9 +23,8 @@ class History:
     kappa: float  # barrier stiffness [MPa]
     least_force: float  # smallest force scale of the tolerances [N]
     velocity: Array | None = None  # (n, 3) [mm/s], with inertia
-    internal: dict[int, Array] = field(
-        default_factory=dict
-    )  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
+    # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
+    internal: dict[int, Array] = field(default_factory=dict)
     folded: bool = False  # a step was damped since the gel was last untouched
     predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)
     predicted: Array | None = None  # x (n, 3) by this load step's predictor

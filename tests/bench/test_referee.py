@@ -174,3 +174,10 @@ def test_minutes_to_set_up_are_those_of_pip_and_the_first_press(monkeypatch: pyt
     assert asked[1][-4:-2] == ["--cases", PRESS.name]
     with pytest.raises(UserError, match="felupe was not set up: no such package"):
         set_up.minutes("felupe")
+    with pytest.raises(UserError, match="calculix was not set up: pip does not install it"):
+        set_up.minutes("calculix")
+    monkeypatch.setattr(
+        set_up.subprocess, "run", lambda *_, **__: SimpleNamespace(returncode=0, stderr="x: not run: y")
+    )
+    with pytest.raises(UserError, match="mujoco_flex was not set up: x: not run: y"):
+        set_up.minutes("mujoco_flex")

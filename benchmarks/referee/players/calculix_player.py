@@ -29,8 +29,7 @@ class Program(Simulator):
 
 def symmetry(case: Case) -> calculix.Symmetry:
     """The symmetry of a case without friction."""
-    moved = {name for name, *values in zip(case.poses[0]._fields, *case.poses, strict=True) if any(values)}
-    return "xy" if moved <= {"z"} else "y" if moved <= {"z", "x"} else "x"
+    return "xy" if case.moved <= {"z"} else "y" if case.moved <= {"z", "x"} else "x"
 
 
 def run(case: Case, how: Settings) -> Answer:

@@ -30,10 +30,9 @@ class Pad:
     def __init__(self, case: Case, edge: float, points: int) -> None:
         import felupe as fem
 
-        moves = {name for name, *v in zip(case.poses[0]._fields, *case.poses, strict=True) if any(v)}
-        self.turned = "yaw" in moves  # a quarter of a turn changes nothing
+        self.turned = "yaw" in case.moved  # a quarter of a turn changes nothing
         self.mirrors = [
-            k for k, ways in enumerate(({"x", "tilt_y", "yaw"}, {"y", "tilt_x", "yaw"})) if not ways & moves
+            k for k, ways in enumerate(({"x", "tilt_y", "yaw"}, {"y", "tilt_x", "yaw"})) if not ways & case.moved
         ]
         slid, along = (max(pose.x for pose in case.poses), 0.0), []
         for k in (0, 1):

@@ -23,11 +23,8 @@ def run(case: Case, how: Settings) -> Answer:
     """Play with elements of this size under the contact, so many steps a frame, and points of Gauss along an edge."""
     if case.mass_kg:
         raise NotPlayed("a free body between two pads was not set up")
-    start, shape, pad = (
-        time.process_time(),
-        scene_of_row.build(row_of(case.recipe)).shape,
-        Pad(case, how["edge_mm"], how["points"]),
-    )
+    start, shape = time.process_time(), scene_of_row.build(row_of(case.recipe)).shape
+    pad = Pad(case, how["edge_mm"], how["points"])
     last, found, moved, u, rate = Pose(z=case.clearance), [], [], np.zeros(3 * len(pad.points)), 0.0
     y = (pad.at @ pad.points.ravel()).reshape(-1, 3) - last[:3]
     kept: Touch = np.zeros(len(y)), np.zeros_like(y), np.zeros((len(y), 1), bool)

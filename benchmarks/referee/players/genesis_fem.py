@@ -1,9 +1,7 @@
 """Genesis: the pad by its implicit FEM, a rigid shape led along the path, contact by its SAP coupler (hydroelastic):
 all as in its examples, with the pad's E, nu and density. Forces are the impulses of the coupler's contact. Lengths are
-100 times as long, forces 10 000 times as large, since the coupler leaves out contact of areas smaller than its
-constants; the shape moves by at most 7 mm a step of 1/60 s, and rests. On a core, in double precision. Tuned is the
-factor of its moduli with the least error in the presses, where forces are proportional to it: 91 -> 13 %.
-"""
+100 times as long, forces 10 000 times as large, since the coupler leaves out contact of smaller areas; the shape moves
+by at most 7 mm a step of 1/60 s, and rests. On a core, in double precision."""
 
 import tempfile
 import time
@@ -16,6 +14,7 @@ from benchmarks.referee.engines import LEAST_FRICTION, begin_genesis
 from benchmarks.referee.player import Answer, NotPlayed
 from benchmarks.referee.playing import Settings, Simulator, answer, place, steps
 
+# Tuned: the factor of its moduli with the least error in the presses, where forces are proportional to it: 91 -> 13 %.
 CHOSEN = {"default": {"young_factor": 1.0, "cell_mm": 2.0}, "tuned": {"young_factor": 0.51, "cell_mm": 2.0}}
 M_PER_MM, STEP_S, SUBSTEPS = 0.1, 1 / 60, 2
 MOVING, RESTING = 6, 10  # steps from frame to frame, and at rest in it
@@ -28,7 +27,8 @@ def run(case: Case, how: Settings) -> Answer:
     """Play with a factor of both moduli, and with tetrahedra of this size."""
     if case.mass_kg:
         raise NotPlayed("a free body between two soft pads was not set up")
-    (scene, shape), found, start = _scene(case, how["young_factor"], how["cell_mm"]), [], 0.0
+    scene, shape = _scene(case, how["young_factor"], how["cell_mm"])
+    found, start = [], 0.0
     for _, pose, judged in steps(case, MOVING, RESTING):
         shape.set_qpos(place(pose, M_PER_MM))
         shape.set_dofs_velocity(np.zeros(6))

@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.referee.case import PAD_MM, STANDARD_GRAVITY_M_S2, Array, Case
 from benchmarks.referee.player import Answer
-from benchmarks.referee.players.newton_parts import CUDA, MADE, OnCuda, add_shape, clock, lead, said
-from benchmarks.referee.playing import FRAME_S, Settings, steps
+from benchmarks.referee.players.newton_parts import CUDA, MADE, add_shape, clock, lead, said
+from benchmarks.referee.playing import FRAME_S, OnCuda, Settings, steps
 
 DEFAULT = {"kh": 1e10, "ratio": 1.0, "kd": 100.0, "voxels": 128}  # stiffness and damping are Newton's own
 LOW, HIGH = (7.0, 0.0), (10.0, 2.0)  # of the search

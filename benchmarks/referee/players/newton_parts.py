@@ -1,7 +1,7 @@
 """Parts that players of Newton share: the shape, how it is led, and time on a core or on a GPU."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,22 +9,10 @@ import numpy as np
 from benchmarks.referee.case import Array, Case, Pose
 from benchmarks.referee.engines import in_metres
 from benchmarks.referee.player import Answer
-from benchmarks.referee.playing import Settings, Simulator, answer, place, speed
+from benchmarks.referee.playing import Settings, answer, place, speed
 
 MADE = ("newton",), ("newton", "warp-lang")  # imported, and installed
-CUDA = "cuda:0"
-
-
-@dataclass(frozen=True)
-class OnCuda(Simulator):
-    """A simulator that needs a CUDA GPU."""
-
-    def available(self) -> str | None:
-        if (absent := super().available()) is not None:
-            return absent
-        import warp as wp
-
-        return None if wp.is_cuda_available() else "its distance fields are built on a CUDA GPU alone"
+CUDA = "cuda:0"  # where alone it builds distance fields
 
 
 def add_shape(builder: Any, case: Case, body: int, config: Any) -> None:

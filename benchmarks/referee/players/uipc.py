@@ -13,9 +13,9 @@ import numpy as np
 
 from benchmarks.referee.case import Array, Case
 from benchmarks.referee.player import Answer, NotPlayed
-from benchmarks.referee.players.uipc_parts import WithDriver, metres
+from benchmarks.referee.players.uipc_parts import metres
 from benchmarks.referee.players.uipc_scene import STEP_S, scene_of
-from benchmarks.referee.playing import Settings, answer, steps
+from benchmarks.referee.playing import OnCuda, Settings, answer, steps
 
 OWN = {"d_hat_mm": 0.1, "velocity_tol": 5e-4, "eps_velocity": 1e-4, "resistance": 1e9, "semi_implicit": 1}  # libuipc's
 # defaults, lengths and speeds [m/s] over 100, which are for scenes of metres; TacEx, too, gives its gels .1 mm
@@ -77,4 +77,4 @@ def on_pad(contact: Any, pad: Any) -> tuple[Array, Array]:
 
 # The best of 24 trials of the presses, at EXACT: mean error from 150 % to 12 %. Tuned cases are played as usual.
 TUNED = DEFAULT | {"young_factor": 0.445, "d_hat_mm": 0.0403, "resistance": 2.77e6}
-PLAYERS = (WithDriver("libuipc", ("uipc",), ("pyuipc",), {"default": DEFAULT, "tuned": TUNED}, run),)
+PLAYERS = (OnCuda("libuipc", ("uipc",), ("pyuipc",), {"default": DEFAULT, "tuned": TUNED}, run),)

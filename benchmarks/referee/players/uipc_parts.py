@@ -1,29 +1,11 @@
-"""Parts of libuipc's player that need no libuipc: whether a GPU is there, poses in metres, and the pad's mesh."""
-
-import ctypes
-from dataclasses import dataclass
+"""Parts of libuipc's player that need no libuipc: poses in metres and the pad's mesh."""
 
 import numpy as np
 
 from benchmarks.referee.case import PAD_MM, Array, Pose
-from benchmarks.referee.playing import Simulator
 
 # Tetrahedra of a box, whose corners are numbered x + 2 y + 4 z.
 FIVE = np.array([(0, 3, 5, 6), (1, 0, 3, 5), (2, 0, 3, 6), (4, 0, 5, 6), (7, 3, 5, 6)])
-
-
-@dataclass(frozen=True)
-class WithDriver(Simulator):
-    """A simulator whose packages bring CUDA and need the driver of a GPU alone."""
-
-    def available(self) -> str | None:
-        if (absent := super().available()) is not None:
-            return absent
-        try:
-            found = ctypes.CDLL("libcuda.so.1").cuInit(0) == 0
-        except OSError:
-            found = False
-        return None if found else "needs a CUDA GPU"
 
 
 def metres(pose: Pose) -> Array:
