@@ -162,7 +162,7 @@ def test_no_squeezed_hex_is_missed_by_the_bound_that_spares_most_cells() -> None
     for k in range(300):
         points, cells = distorted(0.0 if k % 2 else 0.1)
         x = (points + 10 ** rng.uniform(-3, -0.4) * rng.normal(size=points.shape)) @ turn(k).T
-        low = barrier(points, cells)[0].folds.lowest(x)[0]
+        low = barrier(points, cells)[0].folds.lowest(x[None])[0, 0]
         exact = volumes(points, cells, x).min()
         assert (low < INVERSION_BARRIER_J0) == (exact < INVERSION_BARRIER_J0)
         assert low <= exact + 1e-12

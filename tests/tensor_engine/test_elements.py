@@ -40,7 +40,7 @@ class Case:
             Elastic.on(self.pattern, cpu_elements(p, cells), law)
             for p, law in zip(self.points, LAWS.values(), strict=True)
         ]
-        self.topology = Topology.of(cells, np.zeros((0, 4), int), n)
+        self.topology = Topology.shared(cells, np.zeros((0, 4), int), n)
         self.exists = torch.ones(len(SCENES), len(cells), dtype=torch.bool)
         table = np.array([[law.coefficients] * len(cells) for law in LAWS.values()])
         self.laws = torch.tensor(table)
