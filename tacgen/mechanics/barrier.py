@@ -21,7 +21,6 @@ from tacgen.physics.decisions import free_part
 from tacgen.physics.runtime import call
 
 Array = np.ndarray
-NO_VECTORS, NO_MATRICES = np.zeros((0, 0, 0, 3)), np.zeros((0, 0, 0, 3, 3))
 
 
 def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
@@ -125,7 +124,7 @@ class Contact:
     def gap(self, x: Array) -> Array:
         """Gap to the shrunk indenter (f, q) [mm] alone, at nodes x (n, 3)."""
         d = np.empty((1, *self.faces.areas.shape))
-        call(kernels.gaps, d.shape, x[None], *self.arrays, NO_VECTORS, d, NO_VECTORS, NO_MATRICES)
+        call(kernels.gaps, d.shape, x[None], *self.arrays, None, d, None, None)
         return np.asarray(d[0] + self.offset)
 
     @cached_property

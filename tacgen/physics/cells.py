@@ -37,7 +37,7 @@ class Numbering:
 
     @classmethod
     def of(cls, conn: Array) -> "Numbering":
-        """Of one scene's elements conn (e, a)."""
+        """The elements conn (e, a) of one scene."""
         nodes = int(conn.max(initial=-1)) + 1
         return Numbering(np.ascontiguousarray(conn, np.int32), *around(conn, nodes), nodes)
 
