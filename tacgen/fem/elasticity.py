@@ -15,7 +15,7 @@ import numpy as np
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements
 from tacgen.fem.materials import Law
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.physics.cells import ONLY_SCENE, Cells
 from tacgen.physics.laws import two_invariants
 from tacgen.physics.tangents import double

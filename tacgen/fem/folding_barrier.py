@@ -16,7 +16,7 @@ import numpy as np
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements, grid_points, jacobians
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.physics.cells import ONLY_SCENE, Folds
 from tacgen.physics.tangents import double
 
@@ -57,7 +57,7 @@ class FoldingPoint:
 
 @dataclass(frozen=True)
 class FoldingBarrier:
-    """The barrier on elements of one law; fits potential.Potential.
+    """The barrier on elements of one law.
 
     slots as in elasticity.Elastic; rest (e, q): det(dX/dxi) at `grid_points`.
     """

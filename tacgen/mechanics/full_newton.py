@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.contact_newton import ContactIterate, solve_contact

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.fem.potential import Potential
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import contact_newton, full_newton
 from tacgen.mechanics.barrier import Contact
@@ -94,13 +93,12 @@ class OneScene:
         problem, course = self._problem, self.course
         history, leg = course.history, course.legs[0]
         contact = replace(problem.contact.moved(Pose.of(leg.b), history.offset), kappa=history.kappa)
-        inert, self.placed, self.ahead, self.prediction = list[Potential](), contact, None, None
-        self.last = None
+        inertia, self.placed, self.ahead, self.prediction, self.last = None, contact, None, None, None
         if problem.body is not None:
             assert history.velocity is not None
             inertia = problem.body.step(history.x, history.velocity, leg.duration)
-            inert, self.ahead = [inertia], inertia.coasting
-        self.bulk = Bulk(problem.during(history, leg.duration), problem.folding, tuple(inert))
+            self.ahead = inertia.coasting
+        self.bulk = Bulk(problem.during(history, leg.duration), problem.folding, inertia)
         if not self.condensed:
             return [Outcome.not_condensed]
         tangent = problem.tangent
@@ -263,7 +261,7 @@ class OneScene:
         self.forces = forces = self.coupled.evaluate(x)
         least_J = least_jacobian(problem.mesh.points, x, problem.mesh.cells)
         outer = contact.faces.scatter(-forces.force, len(x))
-        inertia = self.at.other.gradient(x)
+        inertia = self.at.inertial_forces
         held = np.ones(x.size, bool)
         held[problem.pattern.free] = False
         force = max(float(np.linalg.norm(outer.sum(0))), history.least_force)

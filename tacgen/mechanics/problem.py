@@ -104,7 +104,7 @@ class Problem:
 
     def new_tangent(self) -> Tangent:
         """A tangent of the bulk, not yet factorised."""
-        at_rest, points, pattern = Bulk(self.elastic, self.folding, ()), self.mesh.points, self.pattern  # not self: a
+        at_rest, points, pattern = Bulk(self.elastic, self.folding), self.mesh.points, self.pattern  # not self: a
         return Tangent(pattern, lambda: at_rest.at(points).stiffness(pattern))  # cycle would outlive the scene
 
     @property

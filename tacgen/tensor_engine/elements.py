@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from tacgen.fem.elements import integration
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.physics import tangents
 from tacgen.physics.cells import Cells, Numbering, Points, around
 from tacgen.physics.laws import two_invariants

@@ -12,7 +12,7 @@ from torch import Tensor
 from tacgen.fem.elements import grid_points
 from tacgen.fem.folding_barrier import INVERSION_BARRIER_STIFFNESS
 from tacgen.fem.jacobian import JACOBIAN_TABLES, bounds
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.physics.cells import Folds
 from tacgen.physics.laws import INVERSION_BARRIER_J0
 from tacgen.tensor_engine.elements import Topology, add_pairs, determinant, jacobians, kernels_of

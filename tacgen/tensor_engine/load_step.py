@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.mechanics.measures import ahead, onset
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import STICKING_SPRING_STIFFNESS

@@ -16,7 +16,7 @@ from tacgen.fem.elements import elements as cpu_elements
 from tacgen.fem.folding_barrier import FoldingBarrier as OneFolding
 from tacgen.fem.jacobian import least_jacobian as one_least_jacobian
 from tacgen.fem.materials import EXAMPLE_LAWS, Law, Stiffened
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.tensor_engine.elements import Hexes, Topology
 from tacgen.tensor_engine.inversion import FoldingBarriers, least_jacobian
 
