@@ -138,7 +138,7 @@ class Batch:
     ) -> Self:
         """Scenes before their first load step; patch (k,): node numbers.
 
-        All have the same options and points in a facet; see `scope.lacks` for scenes that have no place in a batch.
+        All have the same options and points in a facet; see `planning.lacks` for scenes that have no place in a batch.
         """
         B, e, f = len(problems), len(topology.conn), len(topology.facets)
 

@@ -18,8 +18,8 @@ from tacgen.physics import elimination, runtime
 from tacgen.tensor_engine import dense, multifrontal, products
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import dissected
-from tacgen.tensor_engine.fronts import Fronts, Panel
 from tacgen.tensor_engine.grids import GridPattern
+from tacgen.tensor_engine.multifrontal import Fronts, Panel
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = (elimination.ON_GPU if DEVICE == "cuda" else elimination.ON_CORE[4]).size
