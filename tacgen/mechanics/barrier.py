@@ -17,6 +17,7 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.measures import SMALLEST
 from tacgen.physics import contact as kernels
+from tacgen.physics.assembly import add_sparse_blocks
 from tacgen.physics.decisions import free_part
 from tacgen.physics.runtime import call
 
@@ -82,8 +83,8 @@ class Faces:
         return out
 
     def add_blocks(self, which: Array, D: Array, data: Array) -> None:
-        """Add the stiffness D (k, q, 3, 3) of the faces with indices `which` (k,)."""
-        assembly.add_point_blocks(D, self.N, self.slots[which], data)
+        """Add the stiffness D (k, q, 3, 3) of the faces with indices `which` (k,) to the entries of the Pattern."""
+        call(add_sparse_blocks, (1,), D, self.N, self.slots[which], data)
 
 
 class Gaps(NamedTuple):

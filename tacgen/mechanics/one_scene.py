@@ -7,7 +7,7 @@ import numpy as np
 
 from tacgen.fem.jacobian import least_jacobian
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import contact_newton, full_newton
+from tacgen.mechanics import contact_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.condensation import Condensation
@@ -15,6 +15,7 @@ from tacgen.mechanics.contact_newton import ContactIterate, Quadratic, Quadratic
 from tacgen.mechanics.coupled import ContactForces, CoupledContact
 from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import NotConverged, no_equilibrium
+from tacgen.mechanics.full_newton import WholeBulk
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.measures import (
     MIN_FORCE_SCALE_RATIO,
@@ -159,7 +160,8 @@ class OneScene:
             self.J = self._at_last().J if self.options.mixed_pressure else self.at.J
 
     def whole(self, row: int) -> NotConverged | None:
-        found = full_newton.solve(self._problem, self.bulk, self.first, self.begins.x)
+        bulk, most = WholeBulk(self._problem, self.bulk), self.options.max_newton
+        found = contact_newton.solve_contact(bulk, self.first, self.begins.x, xtol=self._end, max_steps=most)
         if not found.converged:
             return no_equilibrium(found.here.least_J, found.steps)
         self.at, self.coupled, self.course.newton.steps = found.here, found.contact, found.steps

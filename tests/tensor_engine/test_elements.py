@@ -96,20 +96,6 @@ def test_tangents_are_those_of_one_scene(case: Case, projection: Projection, mix
         assert case.assembled(K, row) == pytest.approx(whole, abs=1e-9 * np.abs(whole).max()), SCENES[row]
 
 
-def test_forces_are_slopes_of_the_energy_and_tangents_of_the_forces(case: Case) -> None:
-    x, h = case.tensor(case.x), 1e-6
-    g, K = case.many.gradient(x)[1], case.many.tangents(x)[1]
-    p = torch.tensor(np.random.default_rng(0).normal(size=x.shape))
-    up, down = x + h * p, x - h * p
-    assert ((case.many.energy(up) - case.many.energy(down)) / (2 * h)).numpy() == pytest.approx(
-        (g * p).sum((1, 2)).numpy(), rel=1e-6
-    )
-    bent = (case.many.gradient(up)[1] - case.many.gradient(down)[1]) / (2 * h)
-    for row in range(len(SCENES)):
-        along = (case.assembled(K, row) @ p[row].numpy().ravel()).reshape(-1, 3)
-        assert bent[row].numpy() == pytest.approx(along, abs=1e-5 * np.abs(along).max())
-
-
 def test_an_inverted_element_has_infinite_energy_in_its_scene_alone(case: Case) -> None:
     x = case.tensor(case.x)
     x[1, 0] += 1.5
