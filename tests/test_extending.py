@@ -121,7 +121,7 @@ from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import HEX_CORNERS, elements
 from tacgen.fem.materials import Toy
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.physics import tangents
 
 points, conn = HEX_CORNERS / 2, np.arange(8)[None]

@@ -29,11 +29,6 @@ def add_point_forces(forces: Array, conn: Array, N: Array, out: Array) -> None:
     out += triples[:, :c]
 
 
-def add_point_blocks(D: Array, N: Array, slots: Array, data: Array) -> None:
-    """Add stiffnesses D (f, q, 3, 3) of the quadrature points of facets to the CSR `data` at `slots` (f, 3a*3a)."""
-    call(assembly.add_sparse_blocks, (1,), D, N, slots, data)
-
-
 def add_dense_blocks(D: Array, N: Array, dofs: Array, K: Array) -> None:
     """Add stiffnesses D (f, q, 3, 3) of quadrature points to the dense K (k, k) at `dofs` (f, a, 3); -1: fixed."""
     call(assembly.add_dense_blocks, (1,), D, N, dofs, K)

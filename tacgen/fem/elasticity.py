@@ -9,15 +9,16 @@ mixed integration points, Magisano, Leonetti & Garcea 2017). At equilibrium both
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements
 from tacgen.fem.materials import Law
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
+from tacgen.physics.cells import ONLY_SCENE, Cells
 from tacgen.physics.laws import two_invariants
+from tacgen.physics.tangents import double
 
 Array = np.ndarray
 
@@ -60,28 +61,35 @@ class Elastic:
         return min(1.0, self.elements.pointwise * self.law.mu / self.law.kappa)
 
     @cached_property
-    def _law(self) -> tuple[Any, float, Array | None]:
-        """The law as the kernels need it, of all elements."""
-        return self.elements.cells.laws(self.law.coefficients), self.local, self.memory
+    def _cells(self) -> Cells:
+        """The elements with their law, as the only scene of kernels."""
+        elements, law = self.elements, self.law.coefficients
+        laws, memory = np.tile(law, (1, len(elements.conn), 1)), None if self.memory is None else self.memory[None]
+        parts = elements.numbering, elements.gradients[None], elements.weights[None], laws, two_invariants(law)
+        return Cells(*parts, ONLY_SCENE, memory, self.local)
 
     def evaluate(self, x: Array) -> Point:
         """F, J, energies and stresses at x; where J <= 0 the energy is +inf, J is 1 and the stress undefined."""
-        F = self.elements.cells.deformation(x)
-        energies, J, stress = self.elements.cells.states(F, *self._law)
-        return Point(F, J, energies, stress)
+        F = self._cells.deformation(x[None])
+        energies, J, stress = self._cells.states(F, True)
+        return Point(F[0], J[0], energies[0], stress[0])
 
     def isochoric_stress(self, x: Array) -> Array:
         """s = J^2/3 F^-1 P (e, q, 3, 3) [MPa] at x, where P is the stress without U and memory."""
-        cells = self.elements.cells
-        return cells.isochoric_stress(cells.deformation(x), cells.laws(self.law.coefficients))
+        return np.asarray(self._cells.isochoric_stress(x[None])[0])
 
     def forces(self, at: Point, nodes: int) -> Array:
         """dE/dx (nodes, 3) [N]."""
-        return self.elements.cells.forces(at.stress, nodes)
+        return self._forces(at.stress[None], nodes)
+
+    def _forces(self, stress: Array, nodes: int) -> Array:
+        out, found = np.zeros((nodes, 3)), self._cells.forces(stress)[0]
+        out[: len(found)] = found
+        return out
 
     def predicted(self, at: Point, there: Point, taken: Array) -> Array:
         """J (e, q) at `there`, predicted by a step from `at` whose tangent was computed at F = `taken` (e, q, 3, 3)."""
-        return self.elements.cells.predicted(at.F, there.F, taken)
+        return np.asarray(self._cells.linearised(at.F[None], there.F[None], taken[None])[0])
 
     def mixed_forces(self, at: Point, J: Array, taken: Array, nodes: int) -> Array:
         """Right-hand side (nodes, 3) [N] of a step whose tangent was computed at F = `taken`; J (e, q) is predicted.
@@ -90,14 +98,14 @@ class Elastic:
         right-hand side of Newton's method for displacement and pressure after elimination of the pressure. With a
         tangent computed at x itself it equals `forces`.
         """
-        cells = self.elements.cells
-        return cells.forces(cells.states(at.F, *self._law, (J, taken))[2], nodes)
+        return self._forces(self._cells.states(at.F[None], True, J[None], taken[None])[2], nodes)
 
     def add_tangent(self, at: Point, data: Array, projection: Projection, J: Array | None = None) -> None:
         """Add d2E/dx2 to the entries of the Pattern; if J (e, q) is given, with the pressure at that J."""
         assert self.slots is not None
-        two = two_invariants(self.law.coefficients)
-        self.elements.cells.add_tangent(at.F, *self._law, J, two, int(projection), self.slots, data)
+        cells, dilatation = self._cells, np.empty(len(self.elements.conn))
+        points = cells.points(at.F[None], double(), dilatation, None if J is None else J[None], int(projection))
+        points.add(cells.B, ONLY_SCENE, None, cells.two_invariants, self.slots, data)
 
     def value(self, x: Array) -> float:
         return self.evaluate(x).energy

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from tacgen.physics.cells import Cells
+    from tacgen.physics.cells import Numbering
 
 Array = np.ndarray
 
@@ -50,11 +50,11 @@ class Elements:
     shape: Array
 
     @cached_property
-    def cells(self) -> "Cells":
-        """These elements as the kernels need them."""
-        from tacgen.physics.cells import Cells
+    def numbering(self) -> "Numbering":
+        """Their nodes, as the kernels take them."""
+        from tacgen.physics.cells import Numbering
 
-        return Cells(self.conn, self.gradients, self.weights)
+        return Numbering.of(self.conn)
 
 
 def elements(points: Array, conn: Array) -> Elements:

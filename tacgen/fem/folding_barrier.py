@@ -11,16 +11,14 @@ mappings", and Smith & Schaefer (2015), "Bijective parameterization with free bo
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements, grid_points, jacobians
-from tacgen.fem.potential import Projection
-
-if TYPE_CHECKING:
-    from tacgen.physics.cells import Folds
+from tacgen.fem.projection import Projection
+from tacgen.physics.cells import ONLY_SCENE, Folds
+from tacgen.physics.tangents import double
 
 Array = np.ndarray
 # over the shear modulus [-]: at 1 hexes still invert between points, at 10 Newton steps are short
@@ -36,50 +34,61 @@ class FoldingPoint:
     cells: Array
     energy: float
 
+    @property
+    def _items(self) -> Array:
+        """The cells as the kernels take them, of the only scene."""
+        return np.stack([np.zeros_like(self.cells), self.cells], -1).astype(np.int32)
+
     def add_forces(self, out: Array) -> None:
         """Add dE/dx to out (n, 3) [N]."""
         if self.cells.size:
-            np.add.at(out, self.barrier.conn[self.cells], self.barrier.folds.forces(self.x, self.cells))
+            forces = self.barrier.folds.found(self.x[None], True, self._items)[1]
+            np.add.at(out, self.barrier.elements.conn[self.cells], forces)
 
     def add_tangent(self, data: Array, projection: Projection) -> None:
         """Add d2E/dx2 to the entries of the Pattern."""
-        if self.cells.size:
-            self.barrier.folds.add_tangent(self.x, self.cells, int(projection), self.barrier.slots, data)
+        if not self.cells.size:
+            return
+        folds, items = self.barrier.folds, self._items
+        points = folds.points(self.x[None], double(), items, np.zeros(len(items)), int(projection))
+        slopes = np.broadcast_to(folds.dN, (1, *self.barrier.elements.conn.shape[:1], *folds.dN.shape))
+        points.add(slopes, ONLY_SCENE, items, False, self.barrier.slots, data)
 
 
 @dataclass(frozen=True)
 class FoldingBarrier:
-    """The barrier on elements of one law; fits potential.Potential.
+    """The barrier on elements of one law.
 
-    conn (e, a); slots as in elasticity.Elastic; rest (e, q): det(dX/dxi) at `grid_points`; volume (e,) [mm^3].
+    slots as in elasticity.Elastic; rest (e, q): det(dX/dxi) at `grid_points`.
     """
 
-    conn: Array
+    elements: Elements
     slots: Array
     stiffness: float  # INVERSION_BARRIER_STIFFNESS times the shear modulus [MPa]
     rest: Array
-    volume: Array
 
     @classmethod
     def on(cls, pattern: Pattern, points: Array, elements: Elements, mu: float) -> "FoldingBarrier":
-        conn, stiffness = elements.conn, INVERSION_BARRIER_STIFFNESS * mu
+        conn = elements.conn
         rest = np.linalg.det(jacobians(points, conn, grid_points(conn.shape[1])[1]))
-        return cls(conn, pattern.slots(conn), stiffness, rest, elements.weights.sum(1))
+        return cls(elements, pattern.slots(conn), INVERSION_BARRIER_STIFFNESS * mu, rest)
 
     def stiffened(self, times: float) -> "FoldingBarrier":
         """This barrier with `times` its stiffness."""
         return replace(self, stiffness=times * self.stiffness)
 
     @cached_property
-    def folds(self) -> "Folds":
-        from tacgen.physics.cells import Folds
-
-        dN = grid_points(self.conn.shape[1])[1]
-        return Folds(self.conn, dN, self.rest, self.stiffness * self.volume / len(dN))
+    def folds(self) -> Folds:
+        """The barrier as the kernels take it."""
+        dN, volume = grid_points(self.elements.conn.shape[1])[1], self.elements.weights.sum(1)
+        stiffness = self.stiffness * volume / len(dN)
+        rest = self.rest[None]
+        return Folds(self.elements.numbering, dN, rest, rest.max(-1), stiffness[None], ONLY_SCENE)
 
     def evaluate(self, x: Array) -> FoldingPoint:
-        below = self.folds.below(x)
-        return FoldingPoint(self, x, below, self.folds.energy(x, below) if below.size else 0.0)
+        energies, _ = self.folds.found(x[None], False)
+        below = np.flatnonzero(energies)
+        return FoldingPoint(self, x, below, float(energies[below].sum()))
 
     def value(self, x: Array) -> float:
         return self.evaluate(x).energy

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.potential import Projection, Total
+from tacgen.fem.projection import Projection
 
 Array = np.ndarray
 
@@ -111,6 +111,7 @@ class Body:
         viscous = None
         if self.beta > 0:
             data = np.zeros(len(self.pattern.indices))
-            Total(self.elastic).add_hessian(start, data, Projection.FULL)
+            for part in self.elastic:
+                part.add_hessian(start, data, Projection.FULL)
             viscous = self.beta / h * data
         return BodyStep.of(start, velocity, self.mass[:, None], self.alpha, h, self.pattern, viscous)

@@ -7,12 +7,13 @@ curvilinear finite elements", Journal of Computational Physics 233 (2013).
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
 from tacgen.physics import jacobian
-from tacgen.physics.runtime import call
+from tacgen.physics.runtime import empty, run
 
 Array = np.ndarray
 MAX_SUBDIVISIONS = 6  # most subdivisions; each reduces the gap between coefficients and values about four times
@@ -104,18 +105,24 @@ def least_jacobian(rest: Array, points: Array, cells: Array, tol: float = 0.01) 
     Raises:
         ValueError: an element has no volume at rest.
     """
-    table, x, conn = JACOBIAN_TABLES[cells.shape[1]], points[None], np.asarray(cells, np.int32)
-    volume, low, attained = (np.empty((1, len(cells))) for _ in range(3))
-    call(
-        jacobian.whole_bounds, volume.shape, rest[None], x, conn, np.zeros((0, 0), bool), *table.whole, volume, low,
-        attained,
-    )  # fmt: skip
+    table, conn = JACOBIAN_TABLES[cells.shape[1]], np.asarray(cells, np.int32)
+    low, volume = bounds(rest[None], points[None], conn, np.zeros((0, 0), bool), (*table.whole, table.pieces), tol)
     if not (volume > 0).all():
         raise ValueError(f"{int((~(volume > 0)).sum())} elements have no volume at rest")
-    least = attained.min(1)
-    if low.min() < least[0] - tol:
-        call(
-            jacobian.divided_bounds, volume.shape, x, conn, *table.whole, table.pieces, volume, least, tol,
-            MAX_SUBDIVISIONS, MAX_PIECES, low,
-        )  # fmt: skip
     return float(low.min())
+
+
+def bounds(rest: Any, x: Any, conn: Any, exists: Any, table: tuple[Any, ...], tol: float) -> tuple[Any, Any]:
+    """Lower bounds of J in elements (s, e), of which the smallest of a scene is as in `least_jacobian`, and volumes at
+    rest, both of arrays of NumPy or PyTorch.
+
+    rest, x (s, n, 3); conn (e, a) int32; exists (s, e), without rows there all do; table: a Bernstein's `whole` and
+    `pieces`.
+    """
+    volume, low, attained = (empty(x, len(x), len(conn)) for _ in range(3))
+    run(jacobian.whole_bounds, volume.shape, rest, x, conn, exists, *table[:-1], volume, low, attained)
+    least = attained.min(1) if isinstance(attained, np.ndarray) else attained.amin(1)
+    run(
+        jacobian.divided_bounds, volume.shape, x, conn, *table, volume, least, tol, MAX_SUBDIVISIONS, MAX_PIECES, low
+    )  # fmt: skip
+    return low, volume

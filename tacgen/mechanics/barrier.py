@@ -17,11 +17,11 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.measures import SMALLEST
 from tacgen.physics import contact as kernels
+from tacgen.physics.assembly import add_sparse_blocks
 from tacgen.physics.decisions import free_part
 from tacgen.physics.runtime import call
 
 Array = np.ndarray
-NO_VECTORS, NO_MATRICES = np.zeros((0, 0, 0, 3)), np.zeros((0, 0, 0, 3, 3))
 
 
 def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
@@ -83,8 +83,8 @@ class Faces:
         return out
 
     def add_blocks(self, which: Array, D: Array, data: Array) -> None:
-        """Add the stiffness D (k, q, 3, 3) of the faces with indices `which` (k,)."""
-        assembly.add_point_blocks(D, self.N, self.slots[which], data)
+        """Add the stiffness D (k, q, 3, 3) of the faces with indices `which` (k,) to the entries of the Pattern."""
+        call(add_sparse_blocks, (1,), D, self.N, self.slots[which], data)
 
 
 class Gaps(NamedTuple):
@@ -125,7 +125,7 @@ class Contact:
     def gap(self, x: Array) -> Array:
         """Gap to the shrunk indenter (f, q) [mm] alone, at nodes x (n, 3)."""
         d = np.empty((1, *self.faces.areas.shape))
-        call(kernels.gaps, d.shape, x[None], *self.arrays, NO_VECTORS, d, NO_VECTORS, NO_MATRICES)
+        call(kernels.gaps, d.shape, x[None], *self.arrays, None, d, None, None)
         return np.asarray(d[0] + self.offset)
 
     @cached_property

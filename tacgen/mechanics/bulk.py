@@ -3,15 +3,19 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elasticity import Elastic, Point
 from tacgen.fem.folding_barrier import FoldingBarrier, FoldingPoint
-from tacgen.fem.potential import Potential, Projection, Total
+from tacgen.fem.projection import Projection
 from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
+
+if TYPE_CHECKING:
+    from tacgen.fem.inertia import BodyStep
 
 Array = np.ndarray
 
@@ -21,7 +25,7 @@ class BulkPoint:
     """The bulk evaluated at x (n, 3)."""
 
     elastic: tuple[Elastic, ...]
-    other: Total  # inertia
+    inertia: "BodyStep | None"
     x: Array
     points: tuple[Point, ...]
     folding: tuple[FoldingPoint, ...]
@@ -30,11 +34,16 @@ class BulkPoint:
     def energy(self) -> float:
         """[N mm]"""
         elastic, folding = sum(p.energy for p in self.points), sum(p.energy for p in self.folding)
-        return elastic + folding + self.other.value(self.x)
+        return elastic + folding + (self.inertia.value(self.x) if self.inertia else 0.0)
+
+    @property
+    def inertial_forces(self) -> Array:
+        """Their gradient (n, 3) [N]."""
+        return np.zeros_like(self.x) if self.inertia is None else np.asarray(self.inertia.gradient(self.x))
 
     def other_forces(self) -> Array:
         """Nodal forces (n, 3) [N] of all but elasticity."""
-        out = self.other.gradient(self.x)
+        out = self.inertial_forces
         for folding in self.folding:
             folding.add_forces(out)
         return out
@@ -62,7 +71,8 @@ class BulkPoint:
     ) -> Array:
         """d2E/dx2, the entries of the pattern [N/mm]; with pressures at the predicted J if given."""
         data = np.zeros(len(pattern.indices))
-        self.other.add_hessian(self.x, data, projection)
+        if self.inertia is not None:
+            self.inertia.add_hessian(self.x, data, projection)
         for folding in self.folding:
             folding.add_tangent(data, projection)
         for k, (part, point) in enumerate(zip(self.elastic, self.points, strict=True)):
@@ -72,16 +82,16 @@ class BulkPoint:
 
 @dataclass(frozen=True)
 class Bulk:
-    """Elasticity, the barrier against inversion, and `other` potentials."""
+    """Elasticity, the barrier against inversion, and inertia in a load step."""
 
     elastic: tuple[Elastic, ...]
     folding: tuple[FoldingBarrier, ...]
-    other: tuple[Potential, ...]
+    inertia: "BodyStep | None" = None
 
     def at(self, x: Array) -> BulkPoint:
         points = tuple(part.evaluate(x) for part in self.elastic)
         folding = tuple(barrier.evaluate(x) for barrier in self.folding)
-        return BulkPoint(self.elastic, Total(self.other), x, points, folding)
+        return BulkPoint(self.elastic, self.inertia, x, points, folding)
 
 
 class Tangent:

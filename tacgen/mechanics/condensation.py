@@ -9,7 +9,7 @@ strain, and so the short waves of a fold, far more than a motion of the whole co
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, lu_solve, solve_triangular
@@ -47,12 +47,12 @@ class Condensation:
         self._free.ravel()[whole.free] = True
         # condensed nodes; their numbers
         self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1, np.int32)
-        self._factored = 0  # number of factorisations, except those in _rest
-        self._rest: _AtRest | None = None
+        self._factored = 0  # number of factorisations, except that at rest
         self.usable = False
 
     def cover(self, facets: Array) -> None:
         """Condense to the nodes of these facets (f, a) from now on."""
+        self._factored = self.factored
         self.nodes = np.unique(facets)
         self.local = np.full(self.whole.nodes, -1, np.int32)
         self.local[self.nodes] = np.arange(len(self.nodes))
@@ -69,8 +69,8 @@ class Condensation:
             self._factor = ordered()
         self._diagonal = self.whole.indptr[:-1][condensed]  # entries, each the first of its row
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
-        self._factored = self.factored
-        self._rest = _AtRest(ordered, self._at_rest, self._diagonal, self._rows)
+        parts = ordered, self._at_rest, self._diagonal, self._rows
+        self._rest = cache(partial(_schur_at_rest, *parts))  # not a method: a cycle would outlive the scene
         self.usable = False
 
     def covers(self, facets: Array) -> bool:
@@ -82,14 +82,13 @@ class Condensation:
         self.usable = False
         self._factored += 1
         self._L, S = _condensed(self._factor, data, self._diagonal, self._rows)
-        assert self._rest is not None
-        self.schur = Schur(S, self._rest.schur)
+        self.schur = Schur(S, self._rest)
         self.usable = True
 
     @property
     def factored(self) -> int:
         """Number of factorisations so far."""
-        return self._factored + (self._rest.factored if self._rest else 0)
+        return self._factored + (self._rest.cache_info().currsize if self.nodes.size else 0)
 
     def forward(self, g: Array) -> Array:
         """L^-1 of a gradient (n, 3)."""
@@ -190,29 +189,11 @@ def _mirror(A: Array) -> None:
     call(assembly.mirror, (-(-len(A) // int(assembly.MIRRORED_ROWS)),), A)
 
 
-class _AtRest:
-    """The Schur complement at rest, computed when first needed, with a factor of its own as the other stays in use.
-
-    It holds no Condensation, which refers to it: a cycle of references would keep both in memory after the scene.
-    """
-
-    def __init__(
-        self, new_factor: Callable[[], Cholmod], entries: Callable[[], Array], diagonal: Array, rows: Array
-    ) -> None:
-        self._parts = new_factor, entries, diagonal, rows
-        self._S: Array | None = None
-
-    def schur(self) -> Array:
-        """S_0 (k, k)."""
-        if self._S is None:
-            new_factor, entries, diagonal, rows = self._parts
-            self._S = _condensed(new_factor(), entries(), diagonal, rows)[1]
-        return self._S
-
-    @property
-    def factored(self) -> int:
-        """Number of factorisations so far."""
-        return int(self._S is not None)
+def _schur_at_rest(
+    new_factor: Callable[[], Cholmod], entries: Callable[[], Array], diagonal: Array, rows: Array
+) -> Array:
+    """S_0 (k, k), by a factor of its own as the other stays in use."""
+    return _condensed(new_factor(), entries(), diagonal, rows)[1]
 
 
 class Schur:
@@ -232,10 +213,6 @@ class Schur:
         """This Schur complement with another damping."""
         return self if damping == self.damping else Schur(self.undamped, self._at_rest, damping)
 
-    def more_damped(self) -> "Schur":
-        """This Schur complement with the next larger damping."""
-        return self.damped(more(self.damping))
-
     def times(self, u: Array) -> Array:
         """S u (k,); reads half of S."""
         return np.asarray(dsymv(1.0, self.S.T, u, lower=1)) if len(u) else u
@@ -251,8 +228,8 @@ class Schur:
                 L = cholesky(self._part(o, o), lower=True, overwrite_a=True, check_finite=False)
                 break
             except np.linalg.LinAlgError:
-                more = self.more_damped()
-                self.damping, self.S = more.damping, more.S
+                harder = self.damped(more(self.damping))
+                self.damping, self.S = harder.damping, harder.S
         W = solve_triangular(L, self._part(o, a), lower=True, overwrite_b=True, check_finite=False)
         K = self._part(a, a)
         if W.size:

@@ -23,7 +23,6 @@ from tacgen.physics import contact as kernels
 from tacgen.physics.runtime import call
 
 Array = np.ndarray
-NO_POSITIONS, NO_FRACTIONS = np.zeros((0, 0, 3)), np.zeros((0, 0))
 
 
 def smooth(u: Array, eps: float) -> tuple[Array, Array, Array]:
@@ -98,7 +97,7 @@ class CoupledContact:
         """Energy [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
         energies = np.empty((1, 1, frozen.N.size))
         call(
-            kernels.merits, energies.shape, x[None], NO_POSITIONS, NO_FRACTIONS, *self.contact.arrays,
+            kernels.merits, energies.shape, x[None], None, None, *self.contact.arrays,
             *self.contact.numbers, *self._numbers, self.anchor[None], frozen.normal[None], frozen.N[None], energies,
         )  # fmt: skip
         return float(energies.sum())

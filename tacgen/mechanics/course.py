@@ -80,15 +80,6 @@ class Course:
         """Note why the load step has no solution."""
         self.failure = NotConverged(failure, **data)
 
-    def __str__(self) -> str:
-        left, newton = len(self.legs), self.newton
-        text = (
-            f"frame {self.index}: {self.phase}, {left} load step{'s' * (left != 1)} to do, {self.effort} Newton steps"
-        )
-        if np.isfinite(newton.residual):
-            text += f"; residual {newton.residual:.1e}, damping {newton.damping:.1e}"
-        return text if self.failure is None else f"{text}: {self.failure}"
-
     def reached(self) -> tuple[History, State]:
         """The end of a solve. Raises NotConverged: it failed."""
         if self.failure is not None and self.phase is Phase.failed:

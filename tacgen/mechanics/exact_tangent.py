@@ -50,7 +50,7 @@ def solver(problem: Problem, tangent: Tangent, x: Array, D: Array, on: Array) ->
 
 
 def _direct(problem: Problem, x: Array, D: Array, faces: Faces) -> Solve:
-    data = Bulk(problem.elastic, problem.folding, ()).at(x).stiffness(problem.pattern)
+    data = Bulk(problem.elastic, problem.folding).at(x).stiffness(problem.pattern)
     try:
         lu = exact_factor(problem.pattern, data, faces, D)
     except RuntimeError:

@@ -14,7 +14,6 @@ class Failure(StrEnum):
     squeezed = (
         f"Newton did not converge in {{steps}} steps, the gel squeezed to {{least_J:.1%}} of its volume; {RETRY_HINT}"
     )
-    minimiser = f"Newton {{status}} after {{steps}} steps; {RETRY_HINT}"
     # the budget of Newton steps is spent; shorter load steps would need more
     effort = f"Newton did not converge in {{steps}} steps, shorter load steps included; {RETRY_HINT}"
     # the indenter might tunnel through the gel; a shorter load step may converge

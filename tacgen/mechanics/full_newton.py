@@ -11,10 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk, BulkPoint
-from tacgen.mechanics.contact_newton import ContactIterate, solve_contact
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.problem import Problem
@@ -74,10 +73,3 @@ def _sparse(pattern: Pattern, faces: Faces, D: Array) -> sp.csr_matrix:
     rows, columns = np.repeat(number, size, 1).ravel(), np.tile(number, (1, size)).ravel()
     whole = sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(dofs, dofs)).tocsr()
     return whole[pattern.free][:, pattern.free]
-
-
-def solve(problem: Problem, bulk: Bulk, contact: CoupledContact, x: Array) -> ContactIterate[BulkPoint]:
-    """Equilibrium of everything from x (n, 3)."""
-    options = problem.options
-    xtol = options.step_tol * contact.contact.dhat
-    return solve_contact(WholeBulk(problem, bulk), contact, x, xtol=xtol, max_steps=options.max_newton)

@@ -22,7 +22,7 @@ from tacgen.mechanics.frames import normal_force, trial
 from tacgen.mechanics.grasp import FINGER_ROTATIONS, FINGER_SIDES, GraspScene, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT_OPTIONS, tighter
-from tacgen.mechanics.presolve import PRESOLVE_EDGES_PER_THICKNESS
+from tacgen.mechanics.presolve import coarsened
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.rigid_stiffness import stiffness
 from tacgen.mechanics.scene import Scene
@@ -344,14 +344,9 @@ class Frame:
 def presolved(grasp: GraspScene) -> GraspScene:
     """The grasp with meshes that are fine where a solve on coarse ones has the object (see presolve); if that fails, at
     the poses found so far and at those of the recipe's movements. Where the final edges are as long, only at these."""
-    if all(scene.edge >= scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS for scene in grasp.fingers):
+    rough = [coarsened(scene) for scene in grasp.fingers]
+    if all(scene.edge >= coarse.edge for scene, coarse in zip(grasp.fingers, rough, strict=True)):
         return grasp
-    rough = tuple(
-        replace(
-            scene, edge=max(scene.edge, scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS), dhat=max(scene.dhat, 0.05)
-        )
-        for scene in grasp.fingers
-    )
     problems = tuple(Problem.of(scene, mesh.of(scene)) for scene in rough)
     poses: tuple[list[Array], list[Array]] = ([], [])
     try:

@@ -24,6 +24,7 @@ TET_MESHES = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
 MIN_DIHEDRAL_DEG = 2.0  # smallest dihedral angle of a tet [deg]
 MIN_SCALED_JACOBIAN = 0.01  # smallest scaled Jacobian of a tet [-]
 MAX_HEX_EDGE_RATIO = 11.1  # edge far from the contact over the edge under it [-]
+HEX_EDGE_GROWTH = 1.7  # largest ratio of neighbouring edges outside the fine part [-]
 FACE_POINTS_PER_EDGE = 3  # points of the face an edge at which the path is looked at
 MAX_MESH_NODES = 500_000  # a larger stiffness matrix cannot be factorised in the memory of common machines
 
@@ -150,21 +151,14 @@ class Axes:
         return gel.contains((self.x[1:] + self.x[:-1])[:, None] / 2, (self.y[1:] + self.y[:-1])[None] / 2)
 
 
-def axes(
-    gel: GelBody,
-    footprint: tuple[float, float, float, float],
-    edge: float,
-    *,
-    growth: float = 1.7,
-    coarsest: float = 0.0,
-) -> Axes:
+def axes(gel: GelBody, footprint: tuple[float, float, float, float], edge: float) -> Axes:
     """The grid of `build`, whose arguments these are. Raises UserError: it would have more than MAX_MESH_NODES
     nodes.
     """
-    coarsest = coarsest or MAX_HEX_EDGE_RATIO * edge
     x0, x1, y0, y1 = footprint
-    xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
-    ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
+    coarsest = MAX_HEX_EDGE_RATIO * edge
+    xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, HEX_EDGE_GROWTH, coarsest)
+    ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, HEX_EDGE_GROWTH, coarsest)
     zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # maps depend on the width of cells, hardly on their height
     _refuse_above(MAX_MESH_NODES, len(xs) * len(ys) * len(zs), edge, "nodes")
     return Axes(xs, ys, zs, layer, _nearest(xs, x0, x1), _nearest(ys, y0, y1))
@@ -175,25 +169,16 @@ def _nearest(at: Array, low: float, high: float) -> tuple[int, int]:
     return int(np.abs(at - low).argmin()), int(np.abs(at - high).argmin())
 
 
-def build(
-    gel: GelBody,
-    footprint: tuple[float, float, float, float],
-    edge: float,
-    *,
-    growth: float = 1.7,
-    coarsest: float = 0.0,
-) -> GelMesh:
+def build(gel: GelBody, footprint: tuple[float, float, float, float], edge: float) -> GelMesh:
     """Graded hexes for a gel with a flat base; each column of the grid is scaled to the local height of the face.
 
     Args:
-        footprint: x0, x1, y0, y1 [mm] of the region that the trajectory can touch; its cells are `edge` wide.
-        edge: edge under the contact [mm]. growth: largest ratio of neighbouring edges outside. coarsest: largest edge
-            [mm]; 0: MAX_HEX_EDGE_RATIO times `edge`.
+        footprint: x0, x1, y0, y1 [mm] of the region that the trajectory can touch; its cells are `edge` [mm] wide.
 
     Raises:
         UserError: that would be a mesh of more than MAX_MESH_NODES nodes.
     """
-    return on(axes(gel, footprint, edge, growth=growth, coarsest=coarsest), gel)
+    return on(axes(gel, footprint, edge), gel)
 
 
 def on(grid: Axes, gel: GelBody) -> GelMesh:

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.fem.potential import Potential
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import contact_newton, full_newton
+from tacgen.mechanics import contact_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.condensation import Condensation
@@ -16,6 +15,7 @@ from tacgen.mechanics.contact_newton import ContactIterate, Quadratic, Quadratic
 from tacgen.mechanics.coupled import ContactForces, CoupledContact
 from tacgen.mechanics.course import Course
 from tacgen.mechanics.failures import NotConverged, no_equilibrium
+from tacgen.mechanics.full_newton import WholeBulk
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.measures import (
     MIN_FORCE_SCALE_RATIO,
@@ -94,13 +94,12 @@ class OneScene:
         problem, course = self._problem, self.course
         history, leg = course.history, course.legs[0]
         contact = replace(problem.contact.moved(Pose.of(leg.b), history.offset), kappa=history.kappa)
-        inert, self.placed, self.ahead, self.prediction = list[Potential](), contact, None, None
-        self.last = None
+        inertia, self.placed, self.ahead, self.prediction, self.last = None, contact, None, None, None
         if problem.body is not None:
             assert history.velocity is not None
             inertia = problem.body.step(history.x, history.velocity, leg.duration)
-            inert, self.ahead = [inertia], inertia.coasting
-        self.bulk = Bulk(problem.during(history, leg.duration), problem.folding, tuple(inert))
+            self.ahead = inertia.coasting
+        self.bulk = Bulk(problem.during(history, leg.duration), problem.folding, inertia)
         if not self.condensed:
             return [Outcome.not_condensed]
         tangent = problem.tangent
@@ -161,7 +160,8 @@ class OneScene:
             self.J = self._at_last().J if self.options.mixed_pressure else self.at.J
 
     def whole(self, row: int) -> NotConverged | None:
-        found = full_newton.solve(self._problem, self.bulk, self.first, self.begins.x)
+        bulk, most = WholeBulk(self._problem, self.bulk), self.options.max_newton
+        found = contact_newton.solve_contact(bulk, self.first, self.begins.x, xtol=self._end, max_steps=most)
         if not found.converged:
             return no_equilibrium(found.here.least_J, found.steps)
         self.at, self.coupled, self.course.newton.steps = found.here, found.contact, found.steps
@@ -263,7 +263,7 @@ class OneScene:
         self.forces = forces = self.coupled.evaluate(x)
         least_J = least_jacobian(problem.mesh.points, x, problem.mesh.cells)
         outer = contact.faces.scatter(-forces.force, len(x))
-        inertia = self.at.other.gradient(x)
+        inertia = self.at.inertial_forces
         held = np.ones(x.size, bool)
         held[problem.pattern.free] = False
         force = max(float(np.linalg.norm(outer.sum(0))), history.least_force)

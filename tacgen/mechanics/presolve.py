@@ -42,11 +42,13 @@ def rough(scene: Scene) -> Scene:
     forced = scene.forced
     assert forced is not None
     forced = replace(forced, tol=0.05, end=int(np.flatnonzero(np.isfinite(forced.asked))[-1]) + 1)
-    return replace(scene, edge=_coarse(scene), dhat=max(scene.dhat, 0.05), forced=forced, differentiable=False)
+    return replace(coarsened(scene), forced=forced, differentiable=False)
 
 
-def _coarse(scene: Scene) -> float:
-    return max(scene.edge, scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS)
+def coarsened(scene: Scene) -> Scene:
+    """A scene on a coarse mesh."""
+    edge = max(scene.edge, scene.gel.thickness / PRESOLVE_EDGES_PER_THICKNESS)
+    return replace(scene, edge=edge, dhat=max(scene.dhat, 0.05))
 
 
 def refined(scene: Scene, heights: Sequence[float]) -> Scene:
@@ -58,6 +60,6 @@ def refined(scene: Scene, heights: Sequence[float]) -> Scene:
         if np.isfinite(forced.asked[i]):
             shift = heights[i] - poses[i, 2, 3]
             depth = forced.floor[i] + MAX_FORCE_SEARCH_DEPTH * scene.gel.thickness - heights[i]
-            below[i] = min(0.25 * depth + _coarse(scene) / 4, heights[i] - forced.floor[i])
+            below[i] = min(0.25 * depth + coarsened(scene).edge / 4, heights[i] - forced.floor[i])
         poses[i, 2, 3] += forced.carry[i] * shift
     return replace(scene, poses=poses, forced=replace(forced, below=below))

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 USUAL_GAP_RATIO = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
+BARRIER_STIFFNESS_RATIO = 2  # kappa over Young's modulus of the outermost layer [-]
 FORCE_FLOOR_RATIO = 1e-3  # smallest force scale over kappa dhat^2: forces that occur within the tolerances [-]
 # Contact points along a facet's side. Two partly cancel the stiffness of a coarse mesh: three make a ball 1 % and a
 # flat punch 3 % stiffer. More under an indenter thinner than that side, since friction stretches the gel to twice its
@@ -104,7 +105,7 @@ class Problem:
 
     def new_tangent(self) -> Tangent:
         """A tangent of the bulk, not yet factorised."""
-        at_rest, points, pattern = Bulk(self.elastic, self.folding, ()), self.mesh.points, self.pattern  # not self: a
+        at_rest, points, pattern = Bulk(self.elastic, self.folding), self.mesh.points, self.pattern  # not self: a
         return Tangent(pattern, lambda: at_rest.at(points).stiffness(pattern))  # cycle would outlive the scene
 
     @property
@@ -167,7 +168,8 @@ def _in_time(scene: Scene, elastic: Sequence[Elastic], options: SolverOptions) -
 def _contact(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:
     """The contact at the start; without a pattern, its tangents cannot be added to a sparse matrix."""
     faces = Faces.on(pat, mesh.points, mesh.facets["coated"], points_along(scene))
-    return Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, _kappa(scene))
+    kappa = BARRIER_STIFFNESS_RATIO * scene.gel.layers[-1].youngs_modulus
+    return Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, kappa)
 
 
 def points_along(scene: Scene) -> int:
@@ -177,8 +179,3 @@ def points_along(scene: Scene) -> int:
         if widths and max(widths) < scene.edge:
             return CONTACT_POINTS_IF_NARROW
     return CONTACT_POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else CONTACT_POINTS
-
-
-def _kappa(scene: Scene) -> float:
-    """The barrier's stiffness, twice Young's modulus of the outermost layer [MPa]."""
-    return 2 * scene.gel.layers[-1].youngs_modulus

@@ -91,7 +91,7 @@ class Sensitivity:
         if not tangent.condensation.covers(conn[on]):
             tangent.condensation.cover(with_neighbours(conn, np.asarray((at.normal_force > 0).any(1))))
         with suppress(NotPositiveDefinite):
-            tangent.take(Bulk(self._problem.elastic, self._problem.folding, ()).at(at.x), None)
+            tangent.take(Bulk(self._problem.elastic, self._problem.folding).at(at.x), None)
 
     def _without_contact(self, at: History) -> Slopes:
         k = len(self._parameters)
@@ -164,7 +164,7 @@ class Sensitivity:
 
         def times(laws: Sequence[Law], x: Array) -> Array:
             elastic = tuple(replace(part, law=law) for part, law in zip(problem.elastic, laws, strict=True))
-            bulk = Bulk(elastic, problem.folding if folds else (), ())
+            bulk = Bulk(elastic, problem.folding if folds else ())
             return np.asarray((bulk.at(x + far * u).gradient - bulk.at(x).gradient) / far)
 
         laws = [part.law for part in problem.elastic]

@@ -1,15 +1,20 @@
-"""The kernels of elements on a core, for one scene and arrays of NumPy."""
+"""Elements of scenes that share their numbering, and the barrier against inversion on them, as the kernels take them.
 
-from functools import cached_property
-from typing import Any
+Arrays have the scene first, as in physics.elements, and are NumPy's of one scene or PyTorch's of many.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import warp as wp
 
-from tacgen.physics import elements, laws, tangents
-from tacgen.physics.runtime import Launches, array, launch
+from tacgen.physics import elements
+from tacgen.physics.runtime import empty, lanes, launch, room, run
+from tacgen.physics.tangents import Tangents, double
 
 Array = np.ndarray
+ONLY_SCENE = np.zeros(1, np.int32)  # the slots of a call for one scene
 
 
 def around(conn: Array, nodes: int) -> tuple[Array, Array]:
@@ -20,158 +25,168 @@ def around(conn: Array, nodes: int) -> tuple[Array, Array]:
     return first, np.stack([order // conn.shape[1], order % conn.shape[1]], -1).astype(np.int32)
 
 
-class Cells:
-    """Elements conn (e, a) with dN/dX (e, q, a, 3) [1/mm] and weights (e, q) [mm^3]."""
+@dataclass(frozen=True)
+class Numbering:
+    """Cells (e, a) int32 of nodes 0 to `nodes` - 1, and the cells of each node as in `around`: first (nodes + 1,) and
+    around (k, 2)."""
 
-    def __init__(self, conn: Array, gradients: Array, weights: Array) -> None:
-        self.launch, self._laws = Launches(), dict[tuple[float, ...], Any]()
-        self.shape, self.nodes = weights.shape, int(conn.max(initial=-1)) + 1
-        self.conn, self.B = array(np.ascontiguousarray(conn, np.int32), wp.int32), array(gradients[None], wp.vec3d)
-        self.weights, self.rows = array(weights[None], wp.float64), array(np.zeros(1, np.int32), wp.int32)
-        self._conn = conn
+    cells: Any
+    first: Any
+    around: Any
+    nodes: int
 
-    @cached_property
-    def around(self) -> tuple[Any, Any]:
-        first, pairs = around(self._conn, self.nodes)
-        return array(first, wp.int32), array(pairs, wp.int32)
+    @classmethod
+    def of(cls, conn: Array) -> "Numbering":
+        """The elements conn (e, a) of one scene."""
+        nodes = int(conn.max(initial=-1)) + 1
+        return Numbering(np.ascontiguousarray(conn, np.int32), *around(conn, nodes), nodes)
 
-    def laws(self, law: Array) -> Any:
-        """One law (9,) for all cells, as `states` and `add_tangent` take it."""
-        key = tuple(law)
-        if key not in self._laws:
-            self._laws[key] = array(np.tile(law, (1, self.shape[0], 1)), laws.Coefficients)
-        return self._laws[key]
-
-    def deformation(self, x: Array) -> Array:
-        """F (e, q, 3, 3) at positions x (n, 3)."""
-        F = np.empty((1, *self.shape, 3, 3))
-        self.launch(elements.deformation, (1, self.shape[0], 1), x[None], self.conn, self.B, self.rows, 1, F)
-        return np.asarray(F[0])
-
-    def states(
-        self, F: Array, made_of: Any, local: float, memory: Array | None, mixed: tuple[Array, Array] | None = None
-    ) -> tuple[Array, Array, Array]:
-        """Energies (e,) [N mm], J (e, q), and weights times P (e, q, 3, 3) [N mm] at F.
-
-        mixed: the predicted J and the F of the tangent, as for elements.states.
-        """
-        e, q = self.shape
-        energy, J, stress = np.empty((1, e)), np.empty((1, e, q)), np.empty((1, e, q, 3, 3))
-        predicted, taken = (None, None) if mixed is None else (part[None] for part in mixed)
-        memory = None if memory is None else memory[None]
-        self.launch(
-            elements.states, (1, e), F[None], self.weights, made_of, self.rows, local, memory, predicted, taken,
-            energy, J, stress,
-        )  # fmt: skip
-        return energy[0], J[0], stress[0]
-
-    def isochoric_stress(self, F: Array, made_of: Any) -> Array:
-        """See elements.isochoric_stresses; (e, q, 3, 3)."""
-        out = np.empty((1, *F.shape))
-        self.launch(elements.isochoric_stresses, out.shape[:3], F[None], made_of, self.rows, out)
-        return np.asarray(out[0])
-
-    def forces(self, stress: Array, nodes: int) -> Array:
-        """dE/dx (nodes, 3) [N] of weights times P."""
-        out = np.zeros((1, nodes, 3))
-        corners = np.empty((1, *self._conn.shape, 3))
-        self.launch(elements.corner_forces, (1, len(self._conn), 1), stress[None], self.B, self.rows, 1, corners)
-        self.launch(elements.at_nodes, (1, self.nodes), corners, *self.around, out)
-        return np.asarray(out[0])
-
-    def predicted(self, F: Array, to: Array, taken: Array) -> Array:
-        """J (e, q) at F = `to`, to first order from J at F, linearised at `taken`."""
-        J = np.empty((1, *self.shape))
-        self.launch(elements.predictions, J.shape, F[None], to[None], taken[None], self.rows, J)
-        return np.asarray(J[0])
-
-    def add_tangent(
-        self, F: Array, made_of: Any, local: float, memory: Array | None, predicted: Array | None, two: bool,
-        projection: int, entries: Array, data: Array,
-    ) -> None:  # fmt: skip
-        """Add d2E/dx2 to `data` at `entries` (e, 3a*3a), see tangents.cell_blocks; two: the laws depend on I2."""
-        (e, q), kernels = self.shape, tangents.double()
-        points = wp.empty((e, q), dtype=kernels.Point, device="cpu")
-        kept = None if memory is None else wp.empty((e, q), dtype=kernels.mat, device="cpu")
-        modes = wp.empty((e, q, 9), dtype=kernels.mat, device="cpu") if projection else None
-        dilatation = np.empty(e)
-        launch(
-            kernels.points, (e,), F[None], self.weights, made_of, self.rows, None, local,
-            None if memory is None else memory[None], None if predicted is None else predicted[None], projection,
-            points, kept, modes, dilatation,
-        )  # fmt: skip
-        add_blocks(self.B, self.rows, None, points, kept, modes, dilatation, two, entries, data)
-
-
-class Folds:
-    """The barrier against inversion on elements conn (e, a).
-
-    dN (q, a, 3); rest (e, q): det(dX/dxi); stiffness (e,): that of the barrier times the volume of a point [N mm].
-    """
-
-    def __init__(self, conn: Array, dN: Array, rest: Array, stiffness: Array) -> None:
-        self.launch, self.shape = Launches(), conn.shape
-        self.conn, self.dN = array(np.ascontiguousarray(conn, np.int32), wp.int32), array(dN, wp.vec3d)
-        self.rest, self.stiffness = array(rest[None], wp.float64), array(stiffness[None], wp.float64)
-        self.most = array(rest.max(1)[None], wp.float64)
-        self.rows = array(np.zeros(1, np.int32), wp.int32)
-
-    def lowest(self, x: Array) -> Array:
-        """The lowest J (e,) of each cell."""
-        low = np.empty((1, self.shape[0]))
-        self.launch(elements.lowest, low.shape, x[None], self.conn, self.dN, self.rest, self.most, self.rows, low)
-        return np.asarray(low[0])
-
-    def below(self, x: Array) -> Array:
-        """The cells (k,) that have a point with J below J0."""
-        return np.flatnonzero(self.lowest(x) < laws.INVERSION_BARRIER_J0)
-
-    def energy(self, x: Array, cells: Array) -> float:
-        """Energy [N mm] of some cells (k,), inf if one is inverted."""
-        energies = np.empty(len(cells))
-        self._launch(x, cells, energies, None)
-        return float(energies.sum())
-
-    def forces(self, x: Array, cells: Array) -> Array:
-        """Forces (k, a, 3) [N] on the corners of some cells (k,)."""
-        out = np.empty((len(cells), self.shape[1], 3))
-        self._launch(x, cells, np.empty(len(cells)), out)
+    def at_nodes(self, parts: Any) -> Any:
+        """Sums (s, n, 3) of what each cell's corners have, (s, e, a, 3), in a fixed order, so that results repeat."""
+        out = empty(parts, len(parts), self.nodes, 3)
+        run(elements.at_nodes, out.shape[:2], parts, self.first, self.around, out)
         return out
 
-    def _launch(self, x: Array, cells: Array, energies: Array, corners: Array | None) -> None:
+
+@dataclass(frozen=True)
+class Points:
+    """Points of cells, of whose tangents they are: M in viscoelastic gels, eigenmatrices where they are projected, and
+    U''(mean J)/volume of each cell; see physics.tangents."""
+
+    points: Any
+    memory: Any
+    modes: Any
+    dilatation: Any
+
+    @classmethod
+    def room(cls, like: Any, kernels: Tangents, shape: tuple[int, int], memory: Any, projection: int, d: Any) -> Self:
+        """Not computed yet, of `shape` (k, q)."""
+        kept = None if memory is None else room(kernels.mat, shape, like)
+        return cls(
+            room(kernels.Point, shape, like), kept, room(kernels.mat, (*shape, 9), like) if projection else None, d
+        )
+
+    def add(self, B: Any, slots: Any, items: Any, two: bool, entries: Array, data: Array) -> None:
+        """Add d2E/dx2 to `data` at `entries` (e, 3a*3a) on a core, see tangents.cell_blocks; two: the laws depend on
+        I2."""
+        kernels, most = double(), elements.MAX_CORNERS
+        corners, volume = (wp.empty(most, dtype=kind, device="cpu") for kind in (kernels.Corner, kernels.vec))
+        K = wp.empty((most, most), dtype=kernels.mat, device="cpu")
         launch(
-            elements.folds, (len(cells),), x[None], self.conn, self.dN, self.rest, self.most, self.stiffness,
-            self.rows, _items(cells), energies, corners,
+            kernels.cell_blocks, (len(self.dilatation),), B, slots, items, self.points, self.memory, self.modes,
+            self.dilatation, two, corners, volume, K, entries, data,
         )  # fmt: skip
 
-    def add_tangent(self, x: Array, cells: Array, projection: int, entries: Array, data: Array) -> None:
-        """Add d2E/dx2 of some cells (k,) to `data` at `entries` (e, 3a*3a)."""
-        kernels, q = tangents.double(), self.dN.shape[0]
-        items = _items(cells)
-        points = wp.empty((len(cells), q), dtype=kernels.Point, device="cpu")
-        modes = wp.empty((len(cells), q, 9), dtype=kernels.mat, device="cpu") if projection else None
-        launch(
-            kernels.folding_points, (len(cells),), x[None], self.conn, self.dN, self.rest, self.stiffness, self.rows,
-            items, projection, points, modes,
+
+@dataclass(frozen=True)
+class Cells:
+    """Elements of each scene: B (capacity, e, q, a, 3) dN/dX [1/mm], weights (capacity, e, q) [mm^3], 0 for void cells,
+    and laws (capacity, e, 9), see physics.laws.Coefficients, of which one depends on `two_invariants`; slots (s,)
+    int32: the scenes of a call; memory (capacity, e, q, 3, 3) and local: as in fem.elasticity.Elastic."""
+
+    numbering: Any
+    B: Any
+    weights: Any
+    laws: Any
+    two_invariants: bool
+    slots: Any
+    memory: Any = None
+    local: float = 0.0
+
+    def rows(self, slots: Any) -> Self:
+        """Only some scenes (r,)."""
+        return replace(self, slots=slots.int())
+
+    def deformation(self, x: Any) -> Any:
+        """F (s, e, q, 3, 3) at positions x (s, n, 3)."""
+        e, q = self.weights.shape[1:]
+        F, threads = empty(x, len(x), e, q, 3, 3), lanes(x, q)
+        run(elements.deformation, (len(x), e, threads), x, self.numbering.cells, self.B, self.slots, threads, F)
+        return F
+
+    def states(self, F: Any, want: bool, J: Any = None, taken: Any = None) -> tuple[Any, Any, Any]:
+        """Energies (s, e) and, if wanted, J (s, e, q) and weights times P at F (s, e, q, 3, 3), as elements.states has
+        them; with a predicted J and the F of the tangent (capacity, ...) those of the mixed pressure."""
+        shape, energy = F.shape[:3], empty(F, *F.shape[:2])
+        found, stress = (empty(F, *shape), empty(F, *F.shape)) if want else (empty(F, 0, 0, 0), None)
+        run(
+            elements.states, shape[:2], F, self.weights, self.laws, self.slots, self.local, self.memory, J, taken,
+            energy, found, stress,
         )  # fmt: skip
-        slopes = np.broadcast_to(self.dN.numpy(), (1, self.shape[0], *self.dN.shape, 3))
-        add_blocks(slopes, self.rows, items, points, None, modes, np.zeros(len(cells)), False, entries, data)
+        return energy, found, stress
+
+    def isochoric_stress(self, x: Any) -> Any:
+        """s (s, e, q, 3, 3) [MPa] at positions x (s, n, 3), see fem.viscoelasticity."""
+        F = self.deformation(x)
+        out = empty(F, *F.shape)
+        run(elements.isochoric_stresses, F.shape[:3], F, self.laws, self.slots, out)
+        return out
+
+    def forces(self, stress: Any) -> Any:
+        """Nodal forces (s, n, 3) [N] of weights times P (s, e, q, 3, 3)."""
+        (s, e), a = stress.shape[:2], self.B.shape[3]
+        corners, threads = empty(stress, s, e, a, 3), lanes(stress, a)
+        run(elements.corner_forces, (s, e, threads), stress, self.B, self.slots, threads, corners)
+        return self.numbering.at_nodes(corners)
+
+    def linearised(self, F: Any, to: Any, taken: Any) -> Any:
+        """J (s, e, q) at F = `to`, to first order from J at F, linearised at `taken` (capacity, e, q, 3, 3)."""
+        J = empty(F, *F.shape[:3])
+        run(elements.predictions, J.shape, F, to, taken, self.slots, J)
+        return J
+
+    def points(self, F: Any, kernels: Tangents, dilatation: Any, J: Any, projection: int) -> Points:
+        """The points of tangents at F (s, e, q, 3, 3), with the pressure at the predicted J (capacity, e, q) if given;
+        dilatation: room for that of all cells."""
+        s, e, q = F.shape[:3]
+        out = Points.room(F, kernels, (s * e, q), self.memory, projection, dilatation)
+        launch(
+            kernels.points, (s * e,), F, self.weights, self.laws, self.slots, None, self.local, self.memory, J,
+            projection, out.points, out.memory, out.modes, dilatation,
+        )  # fmt: skip
+        return out
 
 
-def _items(cells: Array) -> Array:
-    """Cells (k,) of the only scene, as the kernels need them (k, 2)."""
-    return np.stack([np.zeros_like(cells), cells], -1).astype(np.int32)
+@dataclass(frozen=True)
+class Folds:
+    """The barrier against inversion: dN (q, a, 3) where it looks; det(dX/dxi) there at rest (capacity, e, q), the
+    largest of a cell, and the stiffness times a point's volume (capacity, e) [N mm], 0 for void cells; slots (s,)
+    int32: the scenes of a call."""
 
+    numbering: Any
+    dN: Any
+    rest: Any
+    most: Any
+    stiffness: Any
+    slots: Any
 
-def add_blocks(
-    B: Any, rows: Any, items: Any, points: Any, kept: Any, modes: Any, dilatation: Array, two: bool, entries: Array,
-    data: Array,
-) -> None:  # fmt: skip
-    kernels = tangents.double()
-    corners = wp.empty(elements.MAX_CORNERS, dtype=kernels.Corner, device="cpu")
-    volume = wp.empty(elements.MAX_CORNERS, dtype=kernels.vec, device="cpu")
-    K = wp.empty((elements.MAX_CORNERS, elements.MAX_CORNERS), dtype=kernels.mat, device="cpu")
-    launch(
-        kernels.cell_blocks, (len(dilatation),), B, rows, items, points, kept, modes, dilatation, two, corners,
-        volume, K, entries, data,
-    )  # fmt: skip
+    def rows(self, slots: Any) -> Self:
+        """Only some scenes (r,)."""
+        return replace(self, slots=slots.int())
+
+    def found(self, x: Any, want: bool, items: Any = None) -> tuple[Any, Any]:
+        """Energies (k,) of all cells of scenes at x (s, n, 3), or of some, see elements.item; and, if wanted, forces
+        (k, a, 3) on their corners."""
+        count = len(x) * self.rest.shape[1] if items is None else len(items)
+        energy, forces = empty(x, count), empty(x, count, self.dN.shape[1], 3) if want else None
+        run(elements.folds, (count,), x, *self._arrays, self.most, self.stiffness, self.slots, items, energy, forces)
+        return energy, forces
+
+    def lowest(self, x: Any) -> Any:
+        """The lowest J of each cell (s, e) at the dense points, or a bound of at least J0."""
+        low = empty(x, len(x), self.rest.shape[1])
+        run(elements.lowest, low.shape, x, *self._arrays, self.most, self.slots, low)
+        return low
+
+    def points(self, x: Any, kernels: Tangents, items: Any, dilatation: Any, projection: int) -> Points:
+        """The points of the tangents of some cells, items (k, 2); dilatation: zeros (k,), or None."""
+        out = Points.room(x, kernels, (len(items), len(self.dN)), None, projection, dilatation)
+        launch(
+            kernels.folding_points, (len(items),), x, *self._arrays, self.stiffness, self.slots, items, projection,
+            out.points, out.modes,
+        )  # fmt: skip
+        return out
+
+    @property
+    def _arrays(self) -> tuple[Any, ...]:
+        return self.numbering.cells, self.dN, self.rest

@@ -7,6 +7,9 @@ import warp as wp
 
 from tacgen.physics.types import real
 
+READ_TYPES = real, wp.float32, wp.int32, wp.int64, wp.vec2d, wp.vec3d, wp.vec3i, wp.uint8, wp.uint16, wp.vec3
+WRITTEN_TYPES = real, wp.float32, wp.int32, wp.vec2d, wp.uint8, wp.vec3d
+
 
 @wp.func
 def is_nan(x: real) -> bool:
@@ -14,68 +17,13 @@ def is_nan(x: real) -> bool:
     return x != x
 
 
-READ, WRITE = "return data.data[i];", "data.data[i] = value;"
+for kind in READ_TYPES:  # a function of one name for each, of which Warp chooses by types
+
+    @wp.func_native("return data.data[i];")
+    def get(data: wp.array(dtype=kind), i: int) -> kind: ...
 
 
-@wp.func_native(READ)
-def get(data: wp.array(dtype=real), i: int) -> real: ...
+for kind in WRITTEN_TYPES:
 
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.float32), i: int) -> wp.float32: ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.int32), i: int) -> wp.int32: ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.int64), i: int) -> wp.int64: ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.vec2d), i: int) -> wp.vec2d: ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.vec3d), i: int) -> wp.vec3d: ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.vec3i), i: int) -> wp.vec3i: ...  # noqa: F811
-
-
-@wp.func_native(WRITE)
-def put(data: wp.array(dtype=real), i: int, value: real): ...
-
-
-@wp.func_native(WRITE)
-def put(data: wp.array(dtype=wp.float32), i: int, value: wp.float32): ...  # noqa: F811
-
-
-@wp.func_native(WRITE)
-def put(data: wp.array(dtype=wp.int32), i: int, value: wp.int32): ...  # noqa: F811
-
-
-@wp.func_native(WRITE)
-def put(data: wp.array(dtype=wp.vec2d), i: int, value: wp.vec2d): ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.uint8), i: int) -> wp.uint8: ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.uint16), i: int) -> wp.uint16: ...  # noqa: F811
-
-
-@wp.func_native(READ)
-def get(data: wp.array(dtype=wp.vec3), i: int) -> wp.vec3: ...  # noqa: F811
-
-
-@wp.func_native(WRITE)
-def put(data: wp.array(dtype=wp.uint8), i: int, value: wp.uint8): ...  # noqa: F811
-
-
-@wp.func_native(WRITE)
-def put(data: wp.array(dtype=wp.vec3d), i: int, value: wp.vec3d): ...  # noqa: F811
+    @wp.func_native("data.data[i] = value;")
+    def put(data: wp.array(dtype=kind), i: int, value: kind): ...

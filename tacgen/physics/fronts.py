@@ -1,6 +1,6 @@
 """Fronts of the batched multifrontal method, as Warp kernels: a number is read where it comes from, and written once.
 
-See tensor_engine.fronts for what the arrays hold. `which` is a front of a scene, scene * t + front.
+See tensor_engine.multifrontal for what the arrays hold. `which` is a front of a scene, scene * t + front.
 """
 
 from typing import Any

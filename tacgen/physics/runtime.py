@@ -40,7 +40,7 @@ KERNEL_FILES = {
         *("strips", "taxim"),
     ),
 }
-MAX_PREPARED_LAUNCHES = 256  # launches of one object that stay prepared
+MAX_PREPARED_LAUNCHES = 256  # launches of a thread that stay prepared
 MAX_PREPARED_GPU_LAUNCHES = 8192  # launches on a GPU that stay prepared: calls have many sizes, each of some kB
 BLOCK_THREADS = 256  # of a GPU, in a launch by Warp
 WARP_THREADS = 32  # of a GPU: they may read each other's registers
@@ -107,14 +107,14 @@ def array(values: Any, dtype: Any) -> wp.array:
 
 
 class Launches:
-    """Launches on a core of one object's kernels, prepared: to prepare one takes longer than to run it on few cells."""
+    """Launches on a core, prepared: to prepare one takes longer than to run it on few cells."""
 
     def __init__(self) -> None:
         self._of_types: dict[tuple[Any, ...], PreparedLaunch] = {}
         self._of_shapes: dict[tuple[Any, ...], Callable[[list[Array]], None]] = {}
 
     def __call__(self, kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
-        """As `launch`, on arrays of NumPy, of which only the addresses change, and on those of Warp that stay.
+        """As `launch`, on arrays of NumPy, of which only the addresses change.
 
         Raises ValueError: the last axes of an array are not those of the kernel's type.
         """
@@ -130,7 +130,7 @@ class Launches:
                 shapes.append(row.shape)
                 types.append(row.dtype.char)
             else:
-                types.append(id(value) if isinstance(value, wp.array) else value)
+                types.append(value)
         of_types = tuple(types)
         asked = of_types, tuple(shapes)
         run = self._of_shapes.get(asked)
@@ -158,7 +158,6 @@ class PreparedLaunch:
                   for name, argument, value in zip(names, kernel.adj.args, values, strict=True)
                   if isinstance(value, np.ndarray)]  # fmt: skip
         self._arrays = [(name, axes, value.shape[axes:]) for name, axes, value in arrays]
-        self._stays = [value for value in values if isinstance(value, wp.array)]
 
     def fitted(self, dim: tuple[int, ...], rows: list[Array]) -> Callable[[list[Array]], None]:
         """The launch with arrays of the shapes of these, which it is given when it runs."""
@@ -171,7 +170,7 @@ class PreparedLaunch:
         self._recorded.set_dim(dim)
         function, arguments = self._recorded.hooks.forward, (ctypes.byref(self._recorded.bounds), ctypes.byref(given))
 
-        def run(rows: list[Array], _stays: list[wp.array] = self._stays) -> None:  # they live as long as the launch
+        def run(rows: list[Array]) -> None:
             for part, row in zip(there, rows, strict=True):
                 part.data = _Address.from_address(id(row) + ARRAY_ADDRESS).value
             function(*arguments)
@@ -195,7 +194,7 @@ def launch(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any, record: bool =
     On a GPU it runs in PyTorch's stream, and launches on arrays of the same types are prepared once. record: returns
     the launch instead.
     """
-    if not record and any(getattr(value, "is_cuda", False) for value in values):
+    if not record and any(map(on_gpu, values)):
         return _launch_on_gpu(kernel, dim, values)
     kinds = [argument.type for argument in kernel.adj.args]
     found = [
@@ -289,14 +288,29 @@ def _stream(handle: int, device: str) -> wp.Stream:
     return wp.Stream(device, cuda_stream=handle)
 
 
+def run(kernel: wp.Kernel, dim: tuple[int, ...], *values: Any) -> None:
+    """As `call` on arrays of NumPy, of which the first argument is one, and else as `launch`."""
+    (call if isinstance(values[0], np.ndarray) else launch)(kernel, dim, *values)
+
+
+def empty(like: Any, *shape: int) -> Any:
+    """An array of numbers, not filled, of NumPy or of PyTorch as `like` is."""
+    return np.empty(shape) if isinstance(like, np.ndarray) else like.new_empty(shape)
+
+
+def on_gpu(like: Any) -> bool:
+    """Whether an array of NumPy or PyTorch is on a GPU."""
+    return getattr(like, "is_cuda", False)
+
+
 def lanes(like: Any, count: int = BLOCK_THREADS) -> int:
     """How many threads share work that one does on a core; those of a block can add what each has found."""
-    return count if like.is_cuda else 1
+    return count if on_gpu(like) else 1
 
 
 def room(dtype: Any, shape: tuple[int, ...], like: Any) -> wp.array:
     """An array of a Warp type, not filled, where a tensor is: of PyTorch's memory, which recordings need."""
-    if not like.is_cuda:
+    if not on_gpu(like):
         return wp.empty(shape, dtype=dtype, device="cpu")
     import torch
 

@@ -6,7 +6,7 @@ A scene has one slot. Kernels take the slots of all scenes that wait for them, r
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.problem import Problem
 from tacgen.physics import facets
 from tacgen.physics.runtime import launch
+from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
@@ -76,31 +77,6 @@ def width_class(nodes: int) -> int:
     return MIN_CLASS_NODES << max(0, (nodes - 1) // MIN_CLASS_NODES).bit_length()
 
 
-class Factors(Protocol):
-    """Factorised tangents of the scenes in their slots, condensed to nodes of each scene.
-
-    nodes (s, m): numbers of these nodes, padded with -1. Schur complements (s, 3m, 3m) are padded with the unit matrix.
-    """
-
-    dtype: torch.dtype
-
-    def reserve(self, nodes: int) -> bool:
-        """Make room for so many nodes of a scene; whether tensors have moved for that."""
-
-    def factor(self, slots: Tensor, K: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
-        """Keeps the factors of the cells' tangents K (s, e, 24, 24): which are positive definite away from the nodes
-        (s,), and the Schur complements; fewest: nodes that each scene has at least."""
-
-    def schur(self, K: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
-        """As `factor`, and nothing is kept."""
-
-    def forward(self, slots: Tensor, g: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
-        """A first half of the solution for a gradient g (s, n, 3), and g condensed to so many nodes (s, 3 nodes)."""
-
-    def expand(self, slots: Tensor, u: Tensor, y: Tensor) -> Tensor:
-        """The step (s, n, 3) of all nodes for the condensed step u (s, 3m) and the gradient's first half y."""
-
-
 class Tensors:
     """The rows of all scenes, by name: `tensors.x` is (B, n, 3). See `Batch.empty` for what there is."""
 
@@ -127,7 +103,7 @@ class Batch:
 
     topology: Topology
     options: SolverOptions
-    factors: Factors
+    factors: Condensed
     scenes: list[Slot]
     X: Tensor
     exists: Tensor
@@ -156,13 +132,13 @@ class Batch:
         problems: Sequence[Problem],
         places: Sequence[Place],
         topology: Topology,
-        factors: Factors,
+        factors: Condensed,
         patch: Array,
         device: str = "cpu",
     ) -> Self:
         """Scenes before their first load step; patch (k,): node numbers.
 
-        All have the same options and points in a facet; see `scope.lacks` for scenes that have no place in a batch.
+        All have the same options and points in a facet; see `planning.lacks` for scenes that have no place in a batch.
         """
         B, e, f = len(problems), len(topology.conn), len(topology.facets)
 
@@ -381,9 +357,20 @@ class Batch:
         """Contact of facets of scenes s at the pose of the load step."""
         t, each = self.t, (self.shapes.table, self.t.rotation, self.t.position, self.dhat)
         table, rotation, position, dhat, kappa, friction, eps = gathered(s, *each, t.kappa, self.friction, self.eps)
-        shapes = self.shapes.only(table)
         return Contacts(
-            shapes, conn, self.N, areas, rotation, position, dhat, kappa, offset, friction, eps, anchor, ends
+            replace(self.shapes, table=table),
+            conn,
+            self.N,
+            areas,
+            rotation,
+            position,
+            dhat,
+            kappa,
+            offset,
+            friction,
+            eps,
+            anchor,
+            ends,
         )
 
     def at_condensed(self, s: Tensor, x: Tensor, nodes: int) -> Tensor:

@@ -7,8 +7,7 @@ that its own nodes come last, and the rest of the patch is eliminated in one pad
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine.fronts import Fronts, Panel
-from tacgen.tensor_engine.multifrontal import Multifrontal, eliminate
+from tacgen.tensor_engine.multifrontal import Fronts, Multifrontal, Panel, eliminate
 from tacgen.tensor_engine.products import slot_times
 
 

@@ -1,12 +1,13 @@
 """A load step of many scenes: contact at its pose, the prediction, and where Newton's method begins; see Numerics."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.mechanics.measures import ahead, onset
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import STICKING_SPRING_STIFFNESS
@@ -130,7 +131,8 @@ def _predict(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
     contact, face = b.near(s, t.offset[s], sizes.nodes), b.face(s, t.offset[s])
     touching = t.h_N[s] > 0
     at = face.points(x)
-    motion = torch.where(touching[..., None], face.world(_last_local(b, s, at)) - at, 0.0)
+    last = replace(face, rotation=t.h_rotation[s], position=t.h_position[s])
+    motion = torch.where(touching[..., None], face.world(last.local(at)) - at, 0.0)
     count = contact.conn.shape[1]
     row, faces = torch.arange(len(s), device=s.device)[:, None], t.faces[s, :count].clamp(min=0)
     ties = torch.where(
@@ -148,12 +150,6 @@ def _predict(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, None]:
     second = first + ahead(motion, t.h_motion[s], touching)[:, None, None] * t.h_error[s]
     t.put(s, first_order=first, ahead=second, motion=torch.where(good[:, None, None, None], motion, 0.0))
     return good, None
-
-
-def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
-    """Points (s, f, q, 3) in the indenter's frame at the end of the last load step."""
-    flat = at.flatten(1, -2)
-    return ((flat - b.t.h_position[s][:, None]) @ b.t.h_rotation[s]).view(at.shape)
 
 
 def choose(b: Batch, rows: list[int]) -> list[bool]:

@@ -75,7 +75,7 @@ class ScenePool:
         """As many slots as there are scenes, which come first into them, in this order. calls: a frame may have so many
         before its scene is put off."""
         pattern, self.count, self._first = tree.pattern, len(first), dict(enumerate(first))
-        topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
+        topology = Topology.shared(pattern.hexes, pattern.facets, pattern.size, device)
         factors = Condensed(Multifrontal(tree, device, dtype), self.count)
         problems, places = zip(*((scene.problem, scene.grid) for scene in first), strict=True)
         self.batch = ManyScenes.of(problems, places, topology, factors, pattern.patch, device)

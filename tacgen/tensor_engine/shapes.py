@@ -1,7 +1,7 @@
 """The indenters of many scenes, and their signed distances."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -35,10 +35,6 @@ class Shapes:
         parts = (np.concatenate([record[k] for record in known.values()]) for k in (1, 2))
         table, whole, listed = (torch.as_tensor(part, device=device) for part in (rows, *parts))
         return cls(table.to(dtype), whole.to(dtype), listed, tuple(shapes))
-
-    def only(self, table: Tensor) -> "Shapes":
-        """Only some scenes, with their rows."""
-        return replace(self, table=table)
 
     def replaced(self, slot: int, shape: Shape) -> "Shapes":
         """With another indenter of one scene of a whole batch; fields that no scene has any more are dropped."""

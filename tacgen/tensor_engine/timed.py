@@ -7,7 +7,7 @@ from torch import Tensor
 
 from tacgen.fem.inertia import Inertia, lumped
 from tacgen.fem.materials import stiffened
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.fem.viscoelasticity import Step
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.elements import HEX_SHAPE_VALUES

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 from helpers.minimiser import minimise
-from helpers.small import block, dense, distorted, hexes, slope, standing, tetrahedral, turn, whole
+from helpers.small import Total, block, dense, distorted, hexes, slope, standing, tetrahedral, turn, whole
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import Elements, elements
 from tacgen.fem.inertia import Body
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potential import Total
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)

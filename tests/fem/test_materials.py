@@ -7,7 +7,7 @@ from helpers.small import dense, distorted, slope, turn, whole
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import Elements, elements
 from tacgen.fem.materials import EXAMPLE_LAWS, Law
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 
 Array = np.ndarray
 

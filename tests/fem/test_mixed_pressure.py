@@ -8,7 +8,7 @@ from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.physics.elements import MAX_PREDICTED_RATIO
 
 Array = np.ndarray

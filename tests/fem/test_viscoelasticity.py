@@ -9,7 +9,7 @@ from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import EXAMPLE_LAWS, Law, NeoHooke, Stiffened
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.fem.viscoelasticity import Viscoelastic
 
 Array = np.ndarray

@@ -1,9 +1,11 @@
 """Positions of least energy by Newton's method on the energy alone, independent of the product's solvers."""
 
+from typing import Any
+
 import numpy as np
 
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.potential import Potential, Projection
+from tacgen.fem.projection import Projection
 from tacgen.mechanics.linear_solvers import Cholmod, NotPositiveDefinite, Solver
 
 Array = np.ndarray
@@ -12,7 +14,7 @@ SHORTEST = 1e-10  # fraction of a step [-]
 ROUNDING = 1e-13  # relative increase of the energy that is attributed to rounding [-]
 
 
-def minimise(potential: Potential, x: Array, pattern: Pattern, xtol: float) -> Array:
+def minimise(potential: Any, x: Array, pattern: Pattern, xtol: float) -> Array:
     """Lower an energy from x (n, 3) over the pattern's free dofs until a step moves no node by more than xtol [mm]."""
     solver, energy = Cholmod(pattern), potential.value(x)
     for _ in range(MOST):
@@ -27,7 +29,7 @@ def minimise(potential: Potential, x: Array, pattern: Pattern, xtol: float) -> A
     raise AssertionError(f"no minimum after {MOST} steps")
 
 
-def _direction(potential: Potential, x: Array, pattern: Pattern, solver: Solver) -> Array:
+def _direction(potential: Any, x: Array, pattern: Pattern, solver: Solver) -> Array:
     """Newton step (n, 3); by the projected tangent where the exact one is not positive definite."""
     g, p = potential.gradient(x).ravel()[pattern.free], np.zeros(x.size)
     for projection in (Projection.NONE, Projection.FULL):

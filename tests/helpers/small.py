@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import HEX_CORNERS, boxes, elements, quadratic
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potential import Potential, Projection
+from tacgen.fem.projection import Projection
 from tacgen.mechanics.barrier import Faces
 
 Array = np.ndarray
@@ -28,7 +29,7 @@ def full(pat: Pattern, data: Array) -> Array:
     return np.asarray(out + np.triu(out, 1).T)
 
 
-def dense(potential: Potential, x: Array, pat: Pattern, projection: Projection = Projection.NONE) -> Array:
+def dense(potential: Any, x: Array, pat: Pattern, projection: Projection = Projection.NONE) -> Array:
     """A potential's stiffness (free, free)."""
     data = np.zeros(len(pat.indices))
     potential.add_hessian(x, data, projection)
@@ -108,6 +109,23 @@ def patch(n: int, size: float, nodes: int = 4) -> tuple[Array, Faces, Pattern]:
         points, facets = quadratic(points, facets)
     pat = whole(facets, len(points))
     return points, Faces.on(pat, points, facets), pat
+
+
+@dataclass(frozen=True)
+class Total:
+    """The sum of several energies."""
+
+    parts: tuple[Any, ...]
+
+    def value(self, x: Array) -> float:
+        return float(sum(part.value(x) for part in self.parts))
+
+    def gradient(self, x: Array) -> Array:
+        return np.asarray(sum(part.gradient(x) for part in self.parts))
+
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
+        for part in self.parts:
+            part.add_hessian(x, data, projection)
 
 
 @dataclass(frozen=True)

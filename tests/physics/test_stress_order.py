@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from helpers.small import Load
+from helpers.small import Load, Total
 
 from physics.test_elements import ELEMENTS, LAW, block, inside, solve, u
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
-from tacgen.fem.potential import Total
 from tacgen.fem.stress_recovery import Recovery
 from tacgen.outputs.cauchy_stress import VOIGT_PAIRS, voigt
 

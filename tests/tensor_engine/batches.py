@@ -55,7 +55,7 @@ def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT_OPTIONS) -> 
     problems = [problem(made, options) for made in scenes]
     grid = problems[0].mesh
     n, facets = len(grid.points), grid.facets["coated"]
-    topology = Topology.of(grid.cells, facets, n)
+    topology = Topology.shared(grid.cells, facets, n)
     free = torch.ones(n, dtype=torch.bool)
     free[np.unique(grid.facets["bonded"])] = False
     numbers = np.arange(n), np.arange(len(grid.cells)), np.arange(len(facets))

@@ -18,8 +18,8 @@ from tacgen.physics import elimination, runtime
 from tacgen.tensor_engine import dense, multifrontal, products
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import dissected
-from tacgen.tensor_engine.fronts import Fronts, Panel
 from tacgen.tensor_engine.grids import GridPattern
+from tacgen.tensor_engine.multifrontal import Fronts, Panel
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = (elimination.ON_GPU if DEVICE == "cuda" else elimination.ON_CORE[4]).size
@@ -46,20 +46,25 @@ def test_inverse_factors_by_blocks(size: int) -> None:
     assert float(around[:, :2].abs().sum() + around[:, :, 0].abs().sum()) == 0.0
 
 
-@pytest.mark.parametrize(("size", "columns"), [(3, 1), (32, 33), (41, 1), (64, 70), (150, 2)])
-def test_solutions_by_elimination(size: int, columns: int) -> None:
+SINGLE, DOUBLE = (torch.float32, 2e-5), (torch.float64, 1e-11)  # on a GPU numbers are single
+SIZES = [*((n, m, *SINGLE) for n, m in ((3, 1), (32, 33), (41, 1), (64, 70), (150, 2)))]
+SIZES += [(n, 2, *DOUBLE) for n in (1, 97, 400, 700)] if DEVICE == "cpu" else []
+
+
+@pytest.mark.parametrize(("size", "columns", "dtype", "tol"), SIZES)
+def test_solutions_by_elimination(size: int, columns: int, dtype: torch.dtype, tol: float) -> None:
     r = np.random.default_rng(size)
-    A = torch.tensor(r.normal(size=(3, size, size)), dtype=torch.float32)
+    A = torch.tensor(r.normal(size=(3, size, size)), dtype=dtype)
     A = A + A.mT + 6 * size**0.5 * torch.eye(size)
     A[1, size - 1, size - 1] = -1.0
-    A[2] += torch.tensor(r.normal(size=(size, size)), dtype=torch.float32)
-    B = torch.tensor(r.normal(size=(3, size, columns)), dtype=torch.float32)
-    W = torch.full((3, size + 2, size + columns + 3), 7.0)
+    A[2] += torch.tensor(r.normal(size=(size, size)), dtype=dtype)
+    B = torch.tensor(r.normal(size=(3, size, columns)), dtype=dtype)
+    W = torch.full((3, size + 2, size + columns + 3), 7.0, dtype=dtype)
     W[:, 1:-1, 2:-1] = torch.cat([A, B], 2)
     W = W.to(DEVICE)
     positive = dense.eliminate(W[:, 1:-1, 2:-1], size)
     assert positive.tolist()[:2] == [True, False]
-    assert close(W[:, 1:-1, size + 2 : -1].contiguous(), torch.linalg.solve(A, B), 2e-5)
+    assert close(W[:, 1:-1, size + 2 : -1].contiguous(), torch.linalg.solve(A, B), tol)
     W[:, 1:-1, 2:-1] = 7.0
     assert (W == 7.0).all()
 

@@ -22,8 +22,7 @@ from tacgen.mechanics.solver import PHASE_KERNELS
 from tacgen.tensor_engine import bulk_newton as tensor_bulk
 from tacgen.tensor_engine import engine, load_step, pool
 from tacgen.tensor_engine.engine import Solved
-from tacgen.tensor_engine.planning import Planned
-from tacgen.tensor_engine.scope import lacks
+from tacgen.tensor_engine.planning import Planned, lacks
 from tensor_engine.batches import alone, batch, path, small, solve
 from tensor_engine.test_contact import sharp_field
 

@@ -120,7 +120,7 @@ def pressed():
     whole, place = embedded(made)
     found = presses.run(made)
     problem, x = found.problem, found.states[-1].x
-    bulk = Bulk(problem.elastic, problem.folding, ())
+    bulk = Bulk(problem.elastic, problem.folding)
     data = bulk.at(x).stiffness(problem.pattern)
     return whole, place.nodes, problem.pattern, data
 

@@ -76,17 +76,6 @@ def test_systems_that_have_no_good_solution_without_pivots_are_solved_with_them(
         assert (K[k] @ x[k]).numpy() == pytest.approx(b[k].numpy(), abs=1e-3)
 
 
-@pytest.mark.parametrize("size", [1, 97, 400, 700])
-def test_elimination_by_blocks(size: int) -> None:
-    r = np.random.default_rng(size)
-    A = r.normal(size=(3, size, size)) + 2 * np.sqrt(size) * np.eye(size)
-    B, W = r.normal(size=(3, size, 2)), torch.full((3, size, size + 5), 7.0, dtype=torch.float64)
-    W[..., :size], W[..., size : size + 2] = torch.tensor(A), torch.tensor(B)
-    eliminate(W[..., : size + 2], size)
-    assert W[..., size : size + 2].numpy() == pytest.approx(np.linalg.solve(A, B), abs=1e-12)
-    assert (W[..., size + 2 :] == 7.0).all()
-
-
 @pytest.mark.parametrize("where", [0, 130, 360])
 def test_elimination_tells_which_matrices_are_positive_definite(where: int) -> None:
     r = np.random.default_rng(2)

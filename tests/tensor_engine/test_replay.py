@@ -14,7 +14,7 @@ torch = needs("torch")
 from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
 import tacgen.tensor_engine.batch
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import inversion, pool, replay

@@ -10,7 +10,7 @@ import trimesh
 from tacgen.batch import cuda_engine
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import plan
-from tacgen.tensor_engine import scope
+from tacgen.tensor_engine import planning
 
 PAGE = (Path(__file__).parents[2] / "docs/GPU.md").read_text()
 TOLD = dict(re.findall(r"^\| (.+) \| (yes|no) \|$", PAGE, re.M))
@@ -59,5 +59,5 @@ def test_the_table_says_what_the_engine_takes(feature: str, tmp_path: Path) -> N
     (tmp_path / "one.yaml").write_text(json.dumps(recipe | FEATURES[feature]))
     (row,) = plan.load(tmp_path / "one.yaml").rows
     scene = cuda_engine.scene_of(row)
-    taken = isinstance(scene, Scene) and scope.lacks(scene) is None
-    assert taken == (TOLD[feature] == "yes"), scene if isinstance(scene, str) else scope.lacks(scene)
+    taken = isinstance(scene, Scene) and planning.lacks(scene) is None
+    assert taken == (TOLD[feature] == "yes"), scene if isinstance(scene, str) else planning.lacks(scene)

@@ -12,7 +12,7 @@ from helpers.presses import gel, poses, scene
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.materials import EXAMPLE_LAWS, Law
-from tacgen.fem.potential import Projection
+from tacgen.fem.projection import Projection
 from tacgen.fem.viscoelasticity import Step, Viscoelastic
 from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
 from tacgen.geometry.gel import GelBody, GelLayer
