@@ -125,7 +125,7 @@ def _range_of(edge: float) -> float:
 
 def _scene(row: Row) -> Scene:
     recipe, quality = row.recipe, row.recipe.resolved()
-    gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
+    gel = gel_of(row.sensor, row.solid_path)
     shape = shape_of(row)
     path = indenter_path(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
