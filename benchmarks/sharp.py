@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
@@ -72,9 +73,7 @@ def created(kind: str, **sizes: float) -> "trimesh.Trimesh":
 
 def turned(made: "trimesh.Trimesh", angle: float) -> "trimesh.Trimesh":
     """A body turned by an angle [rad] about y."""
-    import trimesh
-
-    made.apply_transform(trimesh.transformations.rotation_matrix(angle, [0, 1, 0]))
+    made.vertices = Rotation.from_rotvec([0, angle, 0]).apply(made.vertices)
     return made
 
 
