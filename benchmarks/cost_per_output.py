@@ -2,10 +2,8 @@
 
 import sys
 import time
-from inspect import CO_OPTIMIZED
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import FrameType
 from typing import Any
 
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, in_own_processes, peak_memory
@@ -90,37 +88,9 @@ def run(outputs: str, sets: list[str]) -> dict[str, Any]:
         seconds = time.process_time() - started
     if result.status != "ok":
         raise UserError(result.reason)
-    return {"seconds": seconds, "memory": peak_memory(), **loaded()}
-
-
-def loaded() -> dict[str, list[str]]:
-    """Imports of this process: modules of tacgen, and large packages."""
     modules = sorted(name for name in sys.modules if name.partition(".")[0] == "tacgen")
-    return {"modules": modules, "packages": [name for name in LARGE if name in sys.modules]}
-
-
-def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
-    """Imports of one scene, and the functions of tacgen that ran, as "module:function", without compiling."""
-    from tacgen import mechanics
-    from tacgen.batch import pipeline
-
-    here = str(Path(mechanics.__file__).parents[1])
-    ran: set[str] = set()
-
-    def watch(frame: FrameType, event: str, arg: Any) -> None:
-        code = frame.f_code
-        if event == "call" and code.co_flags & CO_OPTIMIZED and code.co_filename.startswith(here):  # no class or module
-            ran.add(f"{frame.f_globals['__name__']}:{code.co_qualname}")
-
-    rows = rows_of(outputs, sets)
-    mechanics.warm()
-    with TemporaryDirectory() as folder:
-        sys.setprofile(watch)
-        try:
-            pipeline.run(rows, Path(folder))
-        finally:
-            sys.setprofile(None)
-    return {**loaded(), "ran": sorted(ran)}
+    packages = [name for name in LARGE if name in sys.modules]
+    return {"seconds": seconds, "memory": peak_memory(), "modules": modules, "packages": packages}
 
 
 def _labels(say: Say) -> Table:

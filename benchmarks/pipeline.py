@@ -8,18 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import workers
-from benchmarks.results_page import (
-    Cell,
-    Level,
-    Result,
-    Say,
-    Table,
-    columns,
-    in_own_process,
-    in_own_processes,
-    peak_memory,
-)
+from benchmarks import results_page, workers
 from tacgen.base import machine
 from tacgen.base.clock import Clock
 
@@ -43,16 +32,16 @@ SHOWN = 0.1  # smaller outputs [ms] and datasets [kB] are left out
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.1, spp: 4}"
 
 
-def bench(level: Level, say: Say) -> Result:
+def bench(level: results_page.Level, say: results_page.Say) -> results_page.Result:
     """Stages, outputs, bytes and a million frames; the first scene with empty caches; workers."""
     if level == "smoke":
         case = ("gelsight_mini", SMOKE, "traction")
-        found = {case: in_own_process("benchmarks.pipeline:made", *case, FEW)}
+        found = {case: results_page.in_own_process("benchmarks.pipeline:made", *case, FEW)}
         table, plot = workers.workers(2, [1], say, workers.SMOKE)
-        return Result(ABOUT, [_stages(found), *_parts(found), table], [plot])
+        return results_page.Result(ABOUT, [_stages(found), *_parts(found), table], [plot])
     jobs = [(s, q, asked, FRAMES) for asked in (EVERYTHING, FORCE_RGB) for s in DEPTHS for q in ("draft", "default")]
     found = {}
-    for job, one in zip(jobs, in_own_processes("benchmarks.pipeline:made", jobs), strict=True):
+    for job, one in zip(jobs, results_page.in_own_processes("benchmarks.pipeline:made", jobs), strict=True):
         if isinstance(one, RuntimeError):
             raise one
         found[job[:3]] = one
@@ -60,7 +49,7 @@ def bench(level: Level, say: Say) -> Result:
     cores = machine.cores()
     many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
     table, plot = workers.workers(4, many, say)
-    return Result(ABOUT, [_stages(found), *_parts(found), _first(say), table], [plot])
+    return results_page.Result(ABOUT, [_stages(found), *_parts(found), _first(say), table], [plot])
 
 
 def row(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> Any:
@@ -117,41 +106,41 @@ def made(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) ->
         "outputs": {name: seconds / n for name, seconds in spent.items()},
         "bytes": {path: count / n for path, count in size.items()},
         "size": whole / n,
-        "memory": peak_memory(),
+        "memory": results_page.peak_memory(),
     }
 
 
 Found = dict[tuple[str, str, str], dict[str, Any]]
 
 
-def _stages(found: Found) -> Table:
-    rows: list[list[Cell]] = []
+def _stages(found: Found) -> results_page.Table:
+    rows: list[list[results_page.Cell]] = []
     for (sensor, quality, asked), one in found.items():
         parts = [1000 * one["stages"][stage] for stage in STAGES]
         rows.append([sensor, quality, asked, *parts, 1000 * one["total"] - sum(parts), 1000 * one["total"]])
         rows[-1] += [one["size"] / 1000, one["memory"], one["total"] * 1e6 / 3600, one["size"] / 1000]
-    heads = columns(
+    heads = results_page.columns(
         "sensor", "quality", "asked for", *(f"{stage} [ms]: .0f" for stage in STAGES), "other [ms]: .0f",
         "ms a frame: .0f", "kB a frame: .0f", "memory [MB]: .0f", "core-hours a million: .0f", "GB a million: .0f",
     )  # fmt: skip
     note = "Memory: peak of the process. The last two columns are for a million frames of scenes like this."
-    return Table("Where the time goes", heads, rows, note)
+    return results_page.Table("Where the time goes", heads, rows, note)
 
 
-def _parts(found: Found) -> list[Table]:
+def _parts(found: Found) -> list[results_page.Table]:
     """Milliseconds of each output and kilobytes of each dataset, in the scenes with all outputs."""
     whole = {(sensor, quality): one for (sensor, quality, asked), one in found.items() if asked != FORCE_RGB}
     heads = [f"{sensor} {quality}" for sensor, quality in whole]
 
-    def table(title: str, kind: str, unit: float, note: str) -> Table:
+    def table(title: str, kind: str, unit: float, note: str) -> results_page.Table:
         parts = [{name: unit * value for name, value in one[kind].items()} for one in whole.values()]
         most = {name: max(part.get(name, 0.0) for part in parts) for part in parts for name in part}
-        rows: list[list[Cell]] = [
+        rows: list[list[results_page.Cell]] = [
             [name, *(part.get(name) for part in parts)]
             for name in sorted(most, key=lambda name: -most[name])
             if most[name] >= SHOWN
         ]
-        return Table(title, {kind: "", **dict.fromkeys(heads, ".1f")}, rows, note)
+        return results_page.Table(title, {kind: "", **dict.fromkeys(heads, ".1f")}, rows, note)
 
     stored = "As stored; datasets of the whole scene are divided by its frames."
     shared = "Data shared by several outputs count for the first of them in the bundle's order."
@@ -161,19 +150,19 @@ def _parts(found: Found) -> list[Table]:
     ]
 
 
-def _first(say: Say) -> Table:
+def _first(say: results_page.Say) -> results_page.Table:
     """The quickstart on every sensor, with empty caches and then with filled ones."""
-    rows: list[list[Cell]] = []
+    rows: list[list[results_page.Cell]] = []
     for sensor in DEPTHS:
         with tempfile.TemporaryDirectory() as folder:
             for caches in ("empty", "filled"):
                 start = time.time()
                 kept = {"TACGEN_CACHE_DIR": folder, "TACGEN_CODE_DIR": f"{folder}/code"}
-                found = in_own_process("benchmarks.pipeline:first", sensor, start, env=kept)
+                found = results_page.in_own_process("benchmarks.pipeline:first", sensor, start, env=kept)
                 whole = [time.time() - start, found["processor"], found["memory"]]
                 rows.append([sensor, caches, *found["to_frame"], *whole])
                 say(f"{sensor}, caches {caches}: {found['to_frame'][0]:.1f} s to the first frame")
-    heads = columns(
+    heads = results_page.columns(
         "sensor", "caches", "s to the first frame: .1f", "s in all: .1f", "processor in all: .1f", "memory [MB]: .0f"
     )
     note = (
@@ -181,7 +170,7 @@ def _first(say: Say) -> Table:
         " or filled by the line above. Wall-clock seconds including the start of Python, and processor seconds of"
         " all processes."
     )
-    return Table("The first scene", heads, rows, note)
+    return results_page.Table("The first scene", heads, rows, note)
 
 
 def first(sensor: str, started: float) -> dict[str, Any]:

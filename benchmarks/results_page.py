@@ -290,15 +290,11 @@ def _section(found: dict[str, Any], folder: Path, home: Path) -> list[str]:
     for table in found["tables"]:
         drawn = grid(table)
         long = len(drawn.replace("|", " ").split()) > LONGEST
-        parts += [f"### {table['title']}", _left_out(table, folder / f"{found['bench']}.json") if long else drawn]
+        rows = f"{len(table['rows'])} rows in `{folder.name}/{found['bench']}.json`: {', '.join(table['columns'])}."
+        parts += [f"### {table['title']}", rows if long else drawn]
         if table["note"] and not long:
             parts.append(table["note"])
     return parts
-
-
-def _left_out(table: dict[str, Any], source: Path) -> str:
-    columns = ", ".join(table["columns"])
-    return f"{len(table['rows'])} rows in `{source.parent.name}/{source.name}`: {columns}."
 
 
 def grid(table: dict[str, Any]) -> str:

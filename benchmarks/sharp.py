@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
@@ -52,13 +53,6 @@ def wedge(half_angle_deg: float, length: float = 8.0, height: float = 6.0) -> "t
     )
 
 
-def cone(half_angle_deg: float, height: float = 8.0, sides: int = 64) -> "trimesh.Trimesh":
-    """A cone with a sharp tip."""
-    turn, radius = np.linspace(0, 2 * np.pi, sides, endpoint=False), height * math.tan(math.radians(half_angle_deg))
-    rim = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(sides, height)])
-    return hull(np.vstack([np.zeros((1, 3)), rim]))
-
-
 def block(size: tuple[float, float, float], lowest: tuple[float, float, float]) -> "trimesh.Trimesh":
     """A block that stands on the edge or corner which lies toward `lowest`."""
     import trimesh
@@ -69,50 +63,38 @@ def block(size: tuple[float, float, float], lowest: tuple[float, float, float]) 
     return hull(corners @ np.vstack([across, -down]).T)
 
 
-def prism(outline: Array, bore: Array, height: float) -> "trimesh.Trimesh":
-    """A prism along z with an outline (n, 2) and a bore (n, 2) or, of a bore of no points, none."""
-    import trimesh
-
-    n = len(outline)
-    low, high = (np.column_stack([outline, np.full(n, z)]) for z in (0.0, height))
-    if not len(bore):
-        return hull(np.vstack([low, high]))
-    rings = [low, high, *(np.column_stack([bore, np.full(n, z)]) for z in (height, 0.0))]
-    k, following = np.arange(n), np.roll(np.arange(n), -1)
-    faces = []
-    for a in range(4):
-        b = (a + 1) % 4
-        faces += [np.stack([a * n + k, a * n + following, b * n + following], 1)]
-        faces += [np.stack([a * n + k, b * n + following, b * n + k], 1)]
-    return trimesh.Trimesh(np.vstack(rings), np.concatenate(faces))
-
-
-def hexagon(across: float, n: int) -> Array:
-    """Points (n, 2) at equal angles on a hexagon of this width across its flats; n a multiple of 6."""
-    turn = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    reach = across / 2 / np.cos((turn + np.pi / 6) % (np.pi / 3) - np.pi / 6)
-    return np.column_stack([np.cos(turn), np.sin(turn)]) * reach[:, None]
-
-
-def nut() -> "trimesh.Trimesh":
-    """An M6 nut: 10 mm across its flats, 5 mm high, with a bore of 5 mm."""
-    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    return prism(hexagon(10.0, 48), 2.5 * np.column_stack([np.cos(turn), np.sin(turn)]), 5.0)
-
-
-def allen_key() -> "trimesh.Trimesh":
-    """The long arm of a 3 mm Allen key, lying on an edge."""
-    body = prism(hexagon(3.0, 6), np.zeros((0, 2)), 16.0)
-    body.apply_transform(np.array([[0, 0, 1, -8], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]], float))
-    return body
-
-
 def created(kind: str, **sizes: float) -> "trimesh.Trimesh":
     """A mesh of trimesh.creation."""
     import trimesh
 
     made: trimesh.Trimesh = getattr(trimesh.creation, kind)(**sizes)
     return made
+
+
+def turned(made: "trimesh.Trimesh", angle: float) -> "trimesh.Trimesh":
+    """A body turned by an angle [rad] about y."""
+    made.vertices = Rotation.from_rotvec([0, angle, 0]).apply(made.vertices)
+    return made
+
+
+def cone(half_angle_deg: float, height: float = 8.0) -> "trimesh.Trimesh":
+    """A cone with a sharp tip, which points down."""
+    radius = height * math.tan(math.radians(half_angle_deg))
+    return turned(created("cone", radius=radius, height=height, sections=64), math.pi)
+
+
+def nut() -> "trimesh.Trimesh":
+    """An M6 nut: 10 mm across its flats, 5 mm high, with a bore of 5 mm."""
+    made = created("annulus", r_min=2.5, r_max=5.0, height=5.0, sections=48)
+    angle = np.arctan2(*made.vertices.T[1::-1])
+    reach = 1 / np.cos((angle + np.pi / 6) % (np.pi / 3) - np.pi / 6)  # of the hexagon over its inner circle
+    made.vertices[:, :2] *= np.where(np.hypot(*made.vertices.T[:2]) > 4.0, reach, 1.0)[:, None]
+    return made
+
+
+def allen_key() -> "trimesh.Trimesh":
+    """The long arm of a 3 mm Allen key, lying on an edge."""
+    return turned(created("cylinder", radius=1.5, height=16.0, sections=6), math.pi / 2)
 
 
 @dataclass(frozen=True)

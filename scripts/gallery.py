@@ -101,14 +101,12 @@ def draw(panels: list, column: Column, image: tuple[int, int]) -> None:
         panel.text(*place, f"{mapped.get_clim()[1]:.2g} MPa", transform=panel.transAxes, **style)
 
 
-def by_method(bundles: list[Bundle]) -> dict[str, np.ndarray]:
-    """The last picture of each method."""
-    return {b.recipe["render"]["method"]: b.frame("/frames/rgb", b.frames - 1) for b in bundles}
-
-
 def paths_sheet(found: dict[str, list[Bundle]]) -> Figure:
     """A column for each sensor: pictures by `transport` and by `path`, and their difference."""
-    pictures = {sensor: by_method(bundles) for sensor, bundles in found.items()}
+    pictures = {
+        sensor: {b.recipe["render"]["method"]: b.frame("/frames/rgb", b.frames - 1) for b in bundles}  # the last
+        for sensor, bundles in found.items()
+    }
     wide = [made["path"].shape[1] / made["path"].shape[0] for made in pictures.values()]
     drawn = Figure(figsize=(PATHS_HEIGHT * sum(wide) + 0.5, 3 * PATHS_HEIGHT + 0.4), layout="constrained")
     grid = drawn.subplots(3, len(pictures), squeeze=False, width_ratios=wide)
@@ -133,13 +131,9 @@ def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
     wide, high = (made.camera.mm_per_px * n for n in (made.camera.width_px, made.camera.height_px))
     section = field_figure.SECTION_WIDTH_RATIO * np.ptp(bundles[0]["/mesh/points"][:, 2])
     size = f"Camera pictures are {wide:.1f} x {high:.1f} mm, sections {section:.1f} mm wide."
-    lines = [f"## {sensor}", "", f"{made.description}. {size}", ""]
     rejected = [b for b in bundles if b.attrs["status"] != "ok"]
-    return (
-        lines
-        + [f"- {indenter(b)}, {', '.join(movements(b))}: {b.attrs['reason']}" for b in rejected]
-        + [""] * bool(rejected)
-    )
+    reasons = [f"- {indenter(b)}, {', '.join(movements(b))}: {b.attrs['reason']}" for b in rejected]
+    return [f"## {sensor}", "", f"{made.description}. {size}", "", *reasons, *[""] * bool(rejected)]
 
 
 def page(found: dict[str, list[Bundle]], paths: bool) -> str:

@@ -75,7 +75,8 @@ def frames(data: Path, split: str) -> dict[str, Frames]:
     for k in range(len(part)):
         item = part[k]
         image = item["rgb"] / 255.0
-        rows, columns = (shares(n, cells) / (n / cells) for n, cells in zip(image.shape, cells_of(image), strict=False))
+        grid = CELLS if image.shape[0] <= image.shape[1] else CELLS[::-1]  # more along the longer side
+        rows, columns = (shares(n, cells) / (n / cells) for n, cells in zip(image.shape, grid, strict=False))
         cells = np.einsum("ri,ijx,cj->rcx", rows, image, columns, optimize=True).astype(np.float32).ravel()
         sensor = part.scenes[item["scene"]].attrs["sensor"]
         items.setdefault(sensor, []).append((cells, item["force"], item["events/mode"]))
@@ -83,11 +84,6 @@ def frames(data: Path, split: str) -> dict[str, Frames]:
     return {
         sensor: dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)) for sensor, rows in items.items()
     }
-
-
-def cells_of(image: np.ndarray) -> tuple[int, int]:
-    """Rows and columns of cells: more along the longer side."""
-    return CELLS if image.shape[0] <= image.shape[1] else CELLS[::-1]
 
 
 def targets(part: Frames) -> np.ndarray:

@@ -21,7 +21,7 @@ def quick(monkeypatch: pytest.MonkeyPatch):
         SimpleNamespace(variant="llvm_ad_rgb", library="", works=False, note="no LLVM found"),
         SimpleNamespace(variant="scalar_rgb", library="", works=True, note="renders"),
     ]
-    monkeypatch.setattr("tacgen.render.images.variants", lambda: tried)
+    monkeypatch.setattr("tacgen.render.mitsuba_variants.variants", lambda: tried)
 
 
 def test_everything_works_on_this_machine():
@@ -49,7 +49,7 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
     def gone():
         raise ImportError("no module named mitsuba")
 
-    monkeypatch.setattr("tacgen.render.images.variants", gone)
+    monkeypatch.setattr("tacgen.render.mitsuba_variants.variants", gone)
     monkeypatch.setattr(doctor, "NEEDED_PACKAGES", ("numpy", "no-such-package"))
     done = tacgen_("doctor", "--json")
     assert done.exit_code == 1

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -21,7 +21,7 @@ from tacgen.recipe.trajectory import Hold, Press, Release, Replay, Slide, Start,
 from tacgen.sensor.base_model import Part
 from tacgen.sensor.model import Camera, Gel, Sensor
 from tacgen.sensor.usual_values import unusual
-from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, branches, format_path, put
+from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, format_path, leaves, put
 
 if TYPE_CHECKING:
     from tacgen.recipe.indenters import Box, Capsule, Cone, Cylinder, Mesh, Sphere, Torus, Wedge
@@ -196,7 +196,7 @@ def _sensor(given: str | Path | Sensor | Gel) -> str | Sensor:
     if isinstance(given, Sensor):
         return given
     if not isinstance(given, Gel):
-        raise UserError(f"simulate: sensor: must be a name, a path, a Sensor or a Gel (got {_kind(given)})")
+        raise UserError(f"simulate: sensor: must be a name, a path, a Sensor or a Gel (got {type(given).__name__})")
     scale = max(given.width_mm, given.height_mm) / VIEW_PX
     width, height = round(given.width_mm / scale), round(given.height_mm / scale)
     camera = Camera(distance_mm=20.0, mm_per_px=scale, width_px=width, height_px=height, source="assumed")
@@ -220,7 +220,9 @@ class _Files:
         if type(given) in indenters.INDENTER_SHAPES.values():
             return given
         known = ", ".join(kind.__name__ for kind in indenters.INDENTER_SHAPES.values())
-        raise UserError(f"simulate: indenter: must be {known}, a name, a path or a trimesh (got {_kind(given)})")
+        raise UserError(
+            f"simulate: indenter: must be {known}, a name, a path or a trimesh (got {type(given).__name__})"
+        )
 
     def movement(self, given: Any, place: int) -> Any:
         """The segment of a trajectory."""
@@ -231,7 +233,9 @@ class _Files:
         if isinstance(given, Movement):
             return {type(given).__name__.lower(): given}
         known = ", ".join(kind.__name__ for kind in Movement.__args__)
-        raise UserError(f"simulate: movements[{place}]: must be {known} or poses (N, 4, 4) (got {_kind(given)})")
+        raise UserError(
+            f"simulate: movements[{place}]: must be {known} or poses (N, 4, 4) (got {type(given).__name__})"
+        )
 
     def _kept(self, content: bytes, name: str, where: KeyPath) -> str:
         output_file.put(self.folder / name, content)
@@ -269,17 +273,11 @@ def _tree(data: Any, name: str, spots: Mapping[KeyPath, Spot]) -> Tree:
     """A recipe that is in no file, as plain values; messages name it, and paths start at the working folder."""
     plain, here = _plain(data), Spot(*[Mark(Source(name))] * 2)
     spots, copies = dict(spots), kept_files.folder().path
-    for path in _paths(plain):
-        if isinstance(value := at(plain, path), str) and copies in Path(value).parents:  # of a bundle, by its own name
+    for path, value in leaves(plain):
+        if isinstance(value, str) and copies in Path(value).parents:  # of a bundle, by its own name
             plain, spots[path] = put(plain, path, Path(value).name), _in_folder(name, Path(value).parent)
-    return Tree(plain, dict.fromkeys(_paths(plain), here) | spots)
-
-
-def _paths(value: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
-    """The paths of a value and of all that is in it."""
-    yield path
-    for step, inner in branches(value):
-        yield from _paths(inner, (*path, step))
+    places = (path[:length] for path, _ in leaves(plain) for length in range(len(path) + 1))
+    return Tree(plain, dict.fromkeys(places, here) | spots)
 
 
 def _plain(value: Any) -> Any:
@@ -293,7 +291,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(inner) for inner in (sorted(value) if isinstance(value, set | frozenset) else value)]
     return str(value) if isinstance(value, Path) else value
-
-
-def _kind(value: Any) -> str:
-    return type(value).__name__

@@ -75,11 +75,13 @@ def _run(
 
 def make(row: Row, folder: Path, overwrite: bool, how: tuple[Limits, str]) -> tuple[SceneResult, list[dict[str, Any]]]:
     """On a Dask worker: make a scene in this thread's process, which is kept; returns its events but frames."""
+    from distributed import get_worker
+
     if getattr(_thread, "how", None) != how:
         if hasattr(_thread, "pool"):
             _thread.pool.__exit__()
-        limits, task = how
-        _thread.how, _thread.pool = how, Pool(1, limits, task, memory_gb=_memory_limit_gb())
+        (limits, task), most = how, get_worker().memory_manager.memory_limit  # [bytes]; None without a limit
+        _thread.how, _thread.pool = how, Pool(1, limits, task, memory_gb=most / 1e9 if most else None)
     events: list[dict[str, Any]] = []
 
     def on_event(event: dict[str, Any]) -> None:
@@ -87,11 +89,3 @@ def make(row: Row, folder: Path, overwrite: bool, how: tuple[Limits, str]) -> tu
             events.append(event)
 
     return _thread.pool.run([row], folder, overwrite=overwrite, on_event=on_event)[0], events
-
-
-def _memory_limit_gb() -> float | None:
-    """Memory limit of this Dask worker [GB]; None without one."""
-    from distributed import get_worker
-
-    limit = get_worker().memory_manager.memory_limit
-    return limit / 1e9 if limit else None

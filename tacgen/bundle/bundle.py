@@ -20,20 +20,10 @@ import numpy as np
 from tacgen.base import atomic_file
 from tacgen.base.errors import UserError, printable
 from tacgen.base.version import __version__
+from tacgen.bundle import schema
 from tacgen.bundle.chunks import Column, FrameReader, rounded
 from tacgen.bundle.hdf5_file import Damaged, add_attributes, attributes_of, datasets, opened, written_file
 from tacgen.bundle.scene_words import finger_text, shape_text
-from tacgen.bundle.schema import (
-    BUNDLE_ATTRS,
-    BUNDLE_FORMAT,
-    JSON_ATTRS,
-    OPTIONAL_ATTRS,
-    UNIT_SYSTEM,
-    as_stored,
-    attributes,
-    entry,
-    shape_problem,
-)
 from tacgen.bundle.stored_json import parsed
 
 if TYPE_CHECKING:
@@ -72,7 +62,7 @@ class Writer:
 
     def __init__(self, path: Path, attrs: Mapping[str, Any], frames: int) -> None:
         self.path, self.frames, self.appended = Path(path), frames, 0
-        own = {"tacgen_format": BUNDLE_FORMAT, "tacgen_version": __version__, "units": UNIT_SYSTEM}
+        own = {"tacgen_format": schema.BUNDLE_FORMAT, "tacgen_version": __version__, "units": schema.UNIT_SYSTEM}
         own["frames_planned"] = frames
         self._attrs: dict[str, Any] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
         self._sizes: dict[str, int] = {}
@@ -108,7 +98,7 @@ class Writer:
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Store the next frame: the same datasets for every frame, without the frame axis."""
-        if self.appended and arrays.keys() != {p for p in self._columns if entry(p).per_frame}:
+        if self.appended and arrays.keys() != {p for p in self._columns if schema.entry(p).per_frame}:
             raise ValueError(f"frame {self.appended} has other datasets than frame 0: {sorted(arrays)}")
         if self.appended == self.frames:
             raise ValueError(f"{self.frames} frames were planned and are all written")
@@ -159,20 +149,20 @@ class Writer:
         return replace(bundle, path=self.path)
 
     def _cast(self, path: str, array: np.ndarray, *, per_frame: bool) -> np.ndarray:
-        row = entry(path)
+        row = schema.entry(path)
         if row.per_frame != per_frame:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
-        values = rounded(path, as_stored(path, array))
+        values = rounded(path, schema.as_stored(path, array))
         self._sizes.pop("N", None)
         known = path in self._columns and self._columns[path].shape == values.shape
         shape = (self.appended + 1, *values.shape) if per_frame else values.shape
-        if not known and (problem := shape_problem(path, shape, self._sizes)):
+        if not known and (problem := schema.shape_problem(path, shape, self._sizes)):
             raise ValueError(problem)
         return values
 
     def _write(self, path: str, values: np.ndarray, frames: int | None) -> None:
         if path not in self._columns:
-            self._columns[path] = Column(self._file, path, values, frames, attributes(path))
+            self._columns[path] = Column(self._file, path, values, frames, schema.attributes(path))
         self._columns[path].append(values)
 
 
@@ -266,7 +256,7 @@ class Bundle:
         with opened(self.path, self.group) as file:
             data = FrameReader(file[path[1:]])
             values = data.whole() if index is None else data[index]
-        row = entry(path)
+        row = schema.entry(path)
         low, high = (0, self._size(row.below) - 1) if row.below else (-row.most, row.most)
         if math.isfinite(high) and values.size and not low <= values.min() <= values.max() <= high:  # nor if nan
             raise Damaged(f"{self.path}: damaged: {path} has values beyond {low:g} to {high:g}")
@@ -274,7 +264,7 @@ class Bundle:
 
     def _size(self, axis: str) -> int:
         """The size of an axis that the layout names by a letter."""
-        places = ((shape, entry(path).shape.split()) for path, shape in self.shapes.items())
+        places = ((shape, schema.entry(path).shape.split()) for path, shape in self.shapes.items())
         return next((shape[dims.index(axis)] for shape, dims in places if axis in dims), 0)
 
 
@@ -302,9 +292,9 @@ def _bundle(path: Path, file: Any, group: str = "/") -> Bundle:
         wrong = str(error)
     if not isinstance(attrs.get("tacgen_format"), int):
         raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED_HINT * ("tacgen_pack" in attrs))
-    if attrs["tacgen_format"] > BUNDLE_FORMAT:
+    if attrs["tacgen_format"] > schema.BUNDLE_FORMAT:
         newer = f"bundle format {attrs['tacgen_format']}, written by tacgen {attrs.get('tacgen_version')}"
-        raise UserError(f"{path}: {newer}; this tacgen reads up to {BUNDLE_FORMAT}: upgrade it")
+        raise UserError(f"{path}: {newer}; this tacgen reads up to {schema.BUNDLE_FORMAT}: upgrade it")
     if attrs.get("complete") is not True:
         raise Unfinished(f"{path}: unfinished: its writer was stopped")
     try:
@@ -370,19 +360,19 @@ def _shared(value: Any) -> Any:
 def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]:
     """The attributes unchanged; ValueError unless they are those of BUNDLE_ATTRS and OPTIONAL_ATTRS."""
     last = set() if finished else {"status", "reason", *NOT_IN_DIGEST}
-    if missing := [name for name in BUNDLE_ATTRS if name not in attrs and name not in last]:
+    if missing := [name for name in schema.BUNDLE_ATTRS if name not in attrs and name not in last]:
         raise ValueError(f"attribute {missing[0]!r} is missing")
     for name, value in attrs.items():
-        wanted = (BUNDLE_ATTRS | OPTIONAL_ATTRS).get(name)
+        wanted = (schema.BUNDLE_ATTRS | schema.OPTIONAL_ATTRS).get(name)
         if wanted is None or name in last:
-            raise ValueError(f"attribute {name!r} is not in the table of format {BUNDLE_FORMAT}")
+            raise ValueError(f"attribute {name!r} is not in the table of format {schema.BUNDLE_FORMAT}")
         if type(value) is not wanted[0]:
             raise ValueError(f"attribute {name!r} is {str(value)[:60]!r}, expected {wanted[0].__name__}")
         if isinstance(value, str):
             value.encode()  # ValueError if it is not valid text: HDF5 stores any bytes
-        if isinstance(value, str) and name in JSON_ATTRS:
+        if isinstance(value, str) and name in schema.JSON_ATTRS:
             try:
-                parsed(JSON_ATTRS[name], value)
+                parsed(schema.JSON_ATTRS[name], value)
             except ValueError as error:
                 raise ValueError(f"attribute {name!r}: {error}") from None
     if finished and attrs["status"] not in ("ok", "rejected"):

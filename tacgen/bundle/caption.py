@@ -49,7 +49,7 @@ def scene_text(bundle: Bundle) -> str:
     moves = ", ".join(filter(None, map(move_text, bundle.recipe.get("trajectory", ()))))
     text = indenter_text(bundle)
     article = "An" if text[:1].lower() in "aeiou" else "A"
-    what = f"{article} {text}, on {sensor_text(bundle)}"
+    what = f"{article} {text}, on {finger_text(bundle.attrs)}"
     return f"{what}: {moves}" if moves else what
 
 
@@ -82,11 +82,6 @@ def changes(bundle: Bundle) -> list[Change]:
 def indenter_text(bundle: Bundle) -> str:
     """`sphere, radius 4 mm`, `letters`"""
     return shape_text(bundle.recipe.get("indenter", {}))
-
-
-def sensor_text(bundle: Bundle) -> str:
-    """`digit`; of a grasp `digit (right finger)`."""
-    return finger_text(bundle.attrs)
 
 
 def _at(time: float | None) -> str:

@@ -120,19 +120,14 @@ def _parts(bundles: Sequence[Bundle], size: float) -> list[list[int]]:
     parts: list[list[int]] = [[]]
     total = 0
     for i, bundle in enumerate(bundles):
-        own = _stored(bundle)
+        with opened(bundle.path, bundle.group) as group:
+            own = sum(int(group[path[1:]].id.get_storage_size()) for path in bundle.shapes)
         if parts[-1] and total + own > size:
             parts.append([])
             total = 0
         parts[-1].append(i)
         total += own
     return parts
-
-
-def _stored(bundle: Bundle) -> int:
-    """Size of the arrays of a scene on disk [bytes]."""
-    with opened(bundle.path, bundle.group) as group:
-        return sum(int(group[path[1:]].id.get_storage_size()) for path in bundle.shapes)
 
 
 def _write(path: Path, scenes: Sequence[tuple[str, Bundle]]) -> None:

@@ -92,9 +92,9 @@ def _solvers() -> Iterator[Diagnosis]:
 
 
 def _rendering() -> Iterator[Diagnosis]:
-    from tacgen.render import images
+    from tacgen.render import mitsuba_variants
 
-    tried = images.variants()
+    tried = mitsuba_variants.variants()
     for one in tried:
         yield Diagnosis(one.variant, one.works, f"{one.note} {one.library}".strip(), needed=False)
     working = [one.variant for one in tried if one.works]

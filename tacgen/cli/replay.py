@@ -6,19 +6,7 @@ from typing import Annotated
 import typer
 
 from tacgen.base.errors import UserError
-from tacgen.cli.common import (
-    AsJson,
-    Overwrite,
-    Sets,
-    Workers,
-    made,
-    plan_of,
-    probe,
-    show_result,
-    warn,
-    workers_of,
-    writing,
-)
+from tacgen.cli import common
 
 RECIPE_HELP = "A recipe: all but its movements is used, and the sensor_pose and indenter_pose of a replay."
 
@@ -41,33 +29,33 @@ def replay(
         list[int] | None, typer.Option("--env", min=0, help="Number of an environment; can be given many times.")
     ] = None,
     group: Annotated[str, typer.Option(help="Group of an HDF5 file that holds the arrays.")] = "/",
-    sets: Sets = None,
-    workers: Workers = "1",
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
+    sets: common.Sets = None,
+    workers: common.Workers = "1",
+    overwrite: common.Overwrite = False,
+    as_json: common.AsJson = False,
 ) -> None:
     """Solve the contacts in the logs of another simulator, and compare its forces with tacgen's."""
     from tacgen import replay as replaying
     from tacgen.replay import comparison
     from tacgen.replay.contact_log import Conventions
 
-    processes = workers_of(workers)
+    processes = common.workers_of(workers)
     how = Conventions(layout, quaternion, units, force_on, force_frame, group)
     choice = replaying.Choice(near_mm, every, *_rows(rows))
-    with writing(out):
-        probe(out)
+    with common.writing(out):
+        common.probe(out)
         prepared = replaying.prepare(
             logs, recipe, out, how, choice, environments=environments or (), sets=sets or (), overwrite=overwrite
         )
-        warn(prepared.notes)
-        plan = plan_of(str(prepared.recipe), list(prepared.sets))
-        results = made(plan, out, workers=processes, overwrite=overwrite)
+        common.warn(prepared.notes)
+        plan = common.plan_of(str(prepared.recipe), list(prepared.sets))
+        results = common.made(plan, out, workers=processes, overwrite=overwrite)
         found = replaying.compared(prepared, results)
         written = comparison.write(found, out, logs, overwrite=overwrite)
     plain = {"files": [str(path) for path in written], "logs": [one.summary() for one in found]}
     lines = [comparison.text(found), *(str(path) for path in written)]
     lines += [f"{result.name}: {result.status}: {result.reason}" for result in results if result.status == "failed"]
-    show_result(plain, "\n".join(lines), as_json)
+    common.show_result(plain, "\n".join(lines), as_json)
     raise typer.Exit(0 if all(result.status == "ok" for result in results) else 1)
 
 

@@ -9,22 +9,7 @@ import typer
 from tacgen.base import output_file
 from tacgen.base.errors import UserError
 from tacgen.base.terminal import say
-from tacgen.cli.common import (
-    AsJson,
-    Engine,
-    Overwrite,
-    Scheduler,
-    Sets,
-    Workers,
-    made,
-    priced,
-    probe,
-    shard_of,
-    show_result,
-    warn,
-    workers_of,
-    writing,
-)
+from tacgen.cli import common
 
 MIN_TIMED_FRAMES = 500  # to be solved; the cost of fewer is not worth the time that an estimate takes
 SENSOR_HELP = "A finger: left=gelsight_mini@left_pad; one for each."
@@ -58,20 +43,20 @@ def touch(
     ] = None,
     friction: Annotated[float, typer.Option(min=0, help="Friction between objects and gels.")] = 0.6,
     quality: Annotated[str, typer.Option(help="draft, default or reference.")] = "draft",
-    sets: Sets = None,
+    sets: common.Sets = None,
     chosen: Annotated[str, typer.Option("--episodes", metavar="FIRST:LAST", help="Only these, from 0.")] = "",
     bundles: Annotated[Path | None, typer.Option(help="Folder for recipes and bundles; default: OUT-bundles.")] = None,
-    workers: Workers = "1",
-    engine: Engine = "local",
-    scheduler: Scheduler = "",
+    workers: common.Workers = "1",
+    engine: common.Engine = "local",
+    scheduler: common.Scheduler = "",
     shard: Annotated[
         str, typer.Option(metavar="I/N", help="Only solve part I of N; the command without it writes the copy.")
     ] = "0/1",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", "--plan", help="Print contacts and the estimated cost, and write nothing.")
     ] = False,
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.AsJson = False,
 ) -> None:
     """Add what robots' fingers feel to recorded episodes, in a copy of them."""
     from tempfile import TemporaryDirectory
@@ -79,7 +64,7 @@ def touch(
     from tacgen.touch import copies, labels, plan_text, scenes, sources
     from tacgen.touch.intervals import Rate
 
-    part, processes = shard_of(shard), workers_of(workers)
+    part, processes = common.shard_of(shard), common.workers_of(workers)
     fingers = _fingers(sensors, mounts or [])
     rates = Rate(rate, tuple(map(_window, windows or [])))
     asked = scenes.TouchChoice(match, near_mm, rates, friction, quality, tuple(sets or ()))
@@ -88,38 +73,40 @@ def touch(
 
     def prepared_in(place: Path) -> tuple[scenes.TouchScenes, dict[str, Any]]:
         prepared = scenes.prepare(source, fingers, asked, place, only, overwrite=overwrite)
-        warn([*prepared.plan.warnings, *prepared.notes])
+        common.warn([*prepared.plan.warnings, *prepared.notes])
         return prepared, plan_text.summary(prepared, source.fps)
 
     if dry_run:
         with TemporaryDirectory() as name:
             prepared, said = prepared_in(Path(name))
-            said["cost"] = priced(prepared.plan, processes)
-        show_result(said, f"{plan_text.text(said)}\n{said['cost']['text']}", as_json)
+            said["cost"] = common.priced(prepared.plan, processes)
+        common.show_result(said, f"{plan_text.text(said)}\n{said['cost']['text']}", as_json)
         return
     copies.refuse(source, len(source) if only is None else len(only), out, overwrite=overwrite)
     folder = bundles or out.with_name(f"{out.name}-bundles")
-    with writing(folder), output_file.gone_if_refused(folder):
-        probe(folder)
+    with common.writing(folder), output_file.gone_if_refused(folder):
+        common.probe(folder)
         prepared, said = prepared_in(folder)
         say(plan_text.text(said), err=True)
         if said["frames"] >= MIN_TIMED_FRAMES:
-            said["cost"] = priced(prepared.plan, processes)
+            said["cost"] = common.priced(prepared.plan, processes)
             say(str(said["cost"]["text"]), err=True)
         how: dict[str, Any] = {"workers": processes, "engine": engine, "scheduler": scheduler, "overwrite": overwrite}
         whole = shard == "0/1"
         planned = prepared.plan if whole else scenes.shard(prepared.plan, part)
-        results = made(planned, folder, as_json=as_json, shard=None if whole else part, **how)
+        results = common.made(planned, folder, as_json=as_json, shard=None if whole else part, **how)
     failed = [f"{one.name}: {one.status}: {one.reason}" for one in results if one.status != "ok"]
     if not whole:
-        show_result({"folder": str(folder), **said}, "\n".join([*failed, f"{folder}: part {shard} is solved"]), as_json)
+        common.show_result(
+            {"folder": str(folder), **said}, "\n".join([*failed, f"{folder}: part {shard} is solved"]), as_json
+        )
         raise typer.Exit(1 if failed else 0)
     touches = labels.felt(prepared, results)
-    with writing(out):
+    with common.writing(out):
         paths = copies.write(source, prepared.episodes, touches, out, overwrite=overwrite)
     said |= {"files": [str(path) for path in paths], "engine": plan_text.engine_table(prepared.episodes, touches)}
     lines = [*failed, *plan_text.notes(prepared.episodes, touches), *plan_text.engine_lines(said["engine"])]
-    show_result(said, "\n".join([*lines, *map(str, paths)]), as_json)
+    common.show_result(said, "\n".join([*lines, *map(str, paths)]), as_json)
     raise typer.Exit(1 if failed or prepared.notes else 0)
 
 

@@ -141,12 +141,9 @@ def _columns(bundle: Bundle, features: dict[str, Any], frames: int) -> dict[str,
 def _cell_forces(bundle: Bundle, k: int) -> np.ndarray:
     """Force on the gel in each of FORCE_CELLS (12, 16, 3), or (16, 12, 3) of an upright image [N]."""
     force = bundle.frame("/frames/force_map", k).astype(float)
-    rows, columns = (shares(n, cells) for n, cells in zip(force.shape, _cells(force.shape), strict=False))
+    each = FORCE_CELLS if force.shape[0] <= force.shape[1] else FORCE_CELLS[::-1]
+    rows, columns = (shares(n, cells) for n, cells in zip(force.shape, each, strict=False))
     return np.asarray(np.einsum("ri,ijx,cj->rcx", rows, force, columns))
-
-
-def _cells(shape: Sequence[int]) -> tuple[int, int]:
-    return FORCE_CELLS if shape[0] <= shape[1] else FORCE_CELLS[::-1]
 
 
 def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str, list]]:

@@ -80,9 +80,8 @@ class GelBody(Pad):
             far = cKDTree(rim).query(grid, p=np.inf)[0] > step / 2
             xy = np.concatenate([rim, grid[self.contains(*(grid * 1.02).T) & far]])
         flat = Delaunay(xy).simplices
-        a, b, c = xy[flat[:, 0]], xy[flat[:, 1]], xy[flat[:, 2]]
-        area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-        flat = np.where((area > 0)[:, None], flat, flat[:, [0, 2, 1]])[np.abs(area) > 1e-12 * self.side**2]
+        area = _area_upward(xy, flat)
+        flat = np.where((area > 0)[:, None], flat, flat[:, [0, 2, 1]])[np.abs(area) > 5e-13 * self.side**2]
         k, after = np.arange(len(rim)), np.roll(np.arange(len(rim)), -1)
         low, high = np.stack([k, after, len(xy) + after], 1), np.stack([k, len(xy) + after, len(xy) + k], 1)
         strip = np.concatenate([low, high])
@@ -275,7 +274,7 @@ def bonded_share(vertices: Array, triangles: Array, held: Array) -> float:
 
 
 def _area_upward(v: Array, t: Array) -> Array:
-    """Area (t,) of triangles as seen from above, negative where they face down [mm^2]."""
+    """Area (t,) of triangles of points (n, 2 or 3) as seen from above, negative where they face down [mm^2]."""
     a, b, c = (v[t[:, k], :2] for k in range(3))
     return np.asarray(((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2)
 

@@ -5,15 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.fem.elements import (
-    FACET_TRIANGLES,
-    facet_areas,
-    facet_corners,
-    facet_hats,
-    facet_points,
-    facet_shares,
-    linear_pressure,
-)
+from tacgen.fem import elements
 from tacgen.fem.elements import triangles as pieces
 from tacgen.geometry.rasterize import hits
 from tacgen.mechanics import Problem, State
@@ -173,10 +165,10 @@ class Shares:
         pixels = np.abs(np.linalg.det(drawn[:, 1:] - drawn[:, :1])) / 2
         self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[hit], 0.0)
 
-        self._facets, hats = facets, facet_shares(contact.N, contact.areas)
+        self._facets, hats = facets, elements.facet_shares(contact.N, contact.areas)
         self._hats = np.tile(hats, (len(on), 1, 1))  # (f, q, k)
         if kind == 6:
-            level = linear_pressure(contact.N, contact.areas)
+            level = elements.linear_pressure(contact.N, contact.areas)
             self._hats[on.all(1) & _obeys_coulomb(level, state, problem.friction)] = level.T @ hats
         beside = np.zeros(len(surface.now), bool)
         beside[self._facets[touched]] = True
@@ -184,15 +176,16 @@ class Shares:
         self._pixels = np.flatnonzero(self.seen)
         self.seen_area = self.area.ravel()[self._pixels]
         piece, number = np.divmod(hit.ravel()[self._pixels], len(facets))
-        ends = facet_corners(kind)[np.array(FACET_TRIANGLES[kind])][piece]  # corners of its triangle, (p, 3, 2)
+        triangles = elements.facet_corners(kind)[np.array(elements.FACET_TRIANGLES[kind])]
+        ends = triangles[piece]  # corners of its triangle, (p, 3, 2)
         v, w = place.reshape(-1, 2)[self._pixels].T[..., None]
-        hats = facet_hats(kind, (1 - v - w) * ends[:, 0] + v * ends[:, 1] + w * ends[:, 2])
+        hats = elements.facet_hats(kind, (1 - v - w) * ends[:, 0] + v * ends[:, 1] + w * ends[:, 2])
         starts, size = kind * np.arange(len(hats) + 1), (len(hats), len(surface.now))
         self._shape = csr_array((hats.ravel(), facets[number].ravel(), starts), shape=size)
         self.weight = np.ones(len(hats))
 
-        areas = facet_areas(surface.now, facets)[0]
-        areas = areas @ facet_shares(facet_points(kind)[0], areas)
+        areas = elements.facet_areas(surface.now, facets)[0]
+        areas = areas @ elements.facet_shares(elements.facet_points(kind)[0], areas)
         whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._weighted_area()
         self._visible = np.where(visible > MIN_VISIBLE_SHARE * whole, 1.0, visible / np.maximum(whole, 1e-300))
         outside = np.any((screen < 0) | (screen >= camera.shape[::-1]), axis=1)

@@ -18,7 +18,8 @@ USUAL_FILTER_ROWS = 3  # rows whose median is a row's force: spikes of one row g
 
 def asked(rows: Sequence[TimedPose], move: Replay) -> "Array":
     """Normal forces (n,) [N] that all rows of a table ask for, pressing on the gel, at least 0; in a grasp those of the
-    grip. Each is the median over the rows next to it, and nan where the table has none."""
+    grip. Each is the median over the rows next to it, the last one repeated at an end; nan where the table
+    has none."""
     import numpy as np
 
     if move.match == "grip":
@@ -28,16 +29,10 @@ def asked(rows: Sequence[TimedPose], move: Replay) -> "Array":
         bodies = [row.sensor for row in rows if row.sensor is not None]
         outward = (np.array(bodies) @ mount if bodies else mount)[..., :3, 2]
         found = -(np.array([row.force or (math.nan,) * 3 for row in rows]) * outward).sum(1)
-    return np.asarray(np.maximum(_medians(found, move.filter_rows or USUAL_FILTER_ROWS), 0.0))  # nan stays
-
-
-def _medians(values: "Array", rows: int) -> "Array":
-    """Each value's median with those next to it, at an end with the last one repeated; nan stays, and next to a value
-    counts as that value."""
-    import numpy as np
-
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, rows // 2, mode="edge"), rows)
-    return np.asarray(np.median(np.where(np.isnan(windows), values[:, None], windows), axis=1))
+    count = move.filter_rows or USUAL_FILTER_ROWS
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(found, count // 2, mode="edge"), count)
+    known = np.where(np.isnan(windows), found[:, None], windows)  # nan stays, and beside a force counts as that
+    return np.asarray(np.maximum(np.median(known, axis=1), 0.0))
 
 
 def lacks(rows: Sequence[TimedPose], move: Replay) -> str | None:

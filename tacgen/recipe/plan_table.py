@@ -3,13 +3,12 @@
 import csv
 import io
 import json
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from tacgen.recipe.plan import Plan
 from tacgen.recipe.row import Row
-from tacgen.sensor.yaml_source import format_path, parse_path
+from tacgen.sensor.yaml_source import shortest_ends
 
 MAX_PLAN_TABLE_ROWS = 40  # of the aligned text, in all its blocks
 MIN_PLAN_TABLE_ROWS = 8  # of each block
@@ -21,7 +20,7 @@ def as_text(plan: Plan, width: int) -> str:
     A varied path is headed by as much of its end as makes it unique.
     """
     known, *rows = _cells(plan, plan.rows[:MAX_PLAN_TABLE_ROWS], short=True)
-    heads = known[: len(known) - len(plan.paths)] + _ends(plan.paths)
+    heads = [*known[: len(known) - len(plan.paths)], *shortest_ends(plan.paths).values()]
     columns = [[_cut(cell, width // 2) for cell in column] for column in zip(heads, *rows, strict=True)]
     widths = [max(map(len, column)) for column in columns]
     blocks, left = [[0]], width - widths[0]
@@ -38,15 +37,6 @@ def as_text(plan: Plan, width: int) -> str:
     if len(plan.rows) > shown:
         tables[-1] += f"\n... {len(plan.rows) - shown} more (--csv prints all)"
     return "\n\n".join(tables) + "\n"
-
-
-def _ends(names: Sequence[str]) -> list[str]:
-    """The shortest end of each path, from a key on, that no other path has: `depth_mm`, `leds[0].power`."""
-    paths = [parse_path(name) for name in names]
-    starts = [[i for i, step in enumerate(path) if isinstance(step, str)][::-1] for path in paths]
-    used = Counter(path[i:] for path, places in zip(paths, starts, strict=True) for i in places)
-    pairs = zip(paths, starts, strict=True)
-    return [format_path(next((p[i:] for i in places if used[p[i:]] == 1), p)) for p, places in pairs]
 
 
 def _cut(text: str, length: int) -> str:

@@ -88,7 +88,7 @@ def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | N
     return _parsed(raw, units, tuple((columns or {}).items()))
 
 
-def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray":
+def matrices(positions: "list[Vector] | ndarray", quaternions: "list[Quaternion] | ndarray") -> "ndarray":
     """Poses (n, 4, 4) from positions [mm] and unit quaternions w, x, y, z.
 
     Not by SciPy's RigidTransform, which orthogonalises each rotation and so changes its last bits.

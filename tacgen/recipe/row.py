@@ -95,16 +95,16 @@ class Row:
         return replayed(move, self.folders.get(("trajectory", segment, "replay", "file")))
 
     @property
-    def solid_path(self) -> Path:
-        """The file of a gel that is a solid."""
-        assert self.sensor.gel.solid is not None
-        return assets.mesh_path(self.sensor.gel.solid.file, self.folders.get(("sensor", *SOLID_FILE_KEY)))
+    def solid_path(self) -> Path | None:
+        """The file of a gel that is a solid; None for a pad."""
+        solid, folder = self.sensor.gel.solid, self.folders.get(("sensor", *SOLID_FILE_KEY))
+        return None if solid is None else assets.mesh_path(solid.file, folder)
 
     def sensor_document(self) -> dict[str, Any]:
         """The resolved sensor as JSON values; a solid is named with its hash."""
         plain: dict[str, Any] = self.sensor.model_dump(mode="json", exclude_none=True)
-        if self.sensor.gel.solid is not None:
-            plain["gel"]["solid"]["sha256"] = assets.sha256(self.solid_path)
+        if path := self.solid_path:
+            plain["gel"]["solid"]["sha256"] = assets.sha256(path)
         return plain
 
     @property

@@ -15,7 +15,7 @@ from tacgen.mechanics.expected_error import Expected, expected_force_error
 from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.recipe import indenters, trajectory
 from tacgen.recipe.checks import MAX_EDGE_PER_THICKNESS, timed
-from tacgen.recipe.model import QUALITIES, QualityNumbers, Recipe
+from tacgen.recipe.model import QUALITIES, QualityNumbers
 from tacgen.recipe.path import Path as IndenterPath
 from tacgen.recipe.path import indenter_path, sunk_beside
 from tacgen.recipe.row import Row
@@ -125,7 +125,7 @@ def _range_of(edge: float) -> float:
 
 def _scene(row: Row) -> Scene:
     recipe, quality = row.recipe, row.recipe.resolved()
-    gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
+    gel = gel_of(row.sensor, row.solid_path)
     shape = shape_of(row)
     path = indenter_path(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
@@ -138,16 +138,12 @@ def _scene(row: Row) -> Scene:
     forced = path.forced
     if forced is not None and row.pair is not None:
         forced = replace(forced, tol=MATCHED_FORCE_TOL)
-    more = (forced, _dynamics(recipe), _durations(row, path), element, path.turns, path.match, recipe.differentiable)
+    dynamics = None
+    if (asked := recipe.dynamics) is not None:
+        damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
+        dynamics = GelDynamics(density, damping.alpha_per_s, damping.beta_s, asked.step_s or math.inf)
+    more = (forced, dynamics, _durations(row, path), element, path.turns, path.match, recipe.differentiable)
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
-
-
-def _dynamics(recipe: Recipe) -> GelDynamics | None:
-    asked = recipe.dynamics
-    if asked is None:
-        return None
-    damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
-    return GelDynamics(density, damping.alpha_per_s, damping.beta_s, asked.step_s or math.inf)
 
 
 def _durations(row: Row, path: IndenterPath) -> Array | None:

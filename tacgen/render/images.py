@@ -284,8 +284,3 @@ class TransportEffort(NamedTuple):
         if spp <= 256:
             return cls(6, 1, SHEET_SPACING_MM, adaptive_sampling.SamplingTolerance())
         return cls(16, 2, SHEET_SPACING_MM, adaptive_sampling.SamplingTolerance(4, 3e-3, 0.12))
-
-
-def variants() -> list[probing.VariantProbe]:
-    """Every variant of interest and whether it really renders here."""
-    return probing.variants()

@@ -203,25 +203,3 @@ class PathTracer:
         paths = stratified(-(-spp // count))
         made = [np.array(self._mi.render(self._scene, spp=paths, seed=s), dtype=np.float64) for s in seeds]
         return np.asarray(np.mean(made, axis=0))
-
-
-def rest(sensor: "LitSensor", sheet: Sheet, surface: Surface, spp: int, variant: str) -> "Floats":
-    """Where the coating's point behind each pixel rests (H, W, 2) [mm], as Mitsuba's paths find it through the layers.
-
-    The coating radiates its own UV, beside a constant by which losses on the way are divided out; nothing else does,
-    and paths are only as long as the straight one. A layer that scatters is taken as clear.
-    """
-    mi = mitsuba(variant)
-    layers = tuple(layer.model_copy(update={"scattering": None}) for layer in sensor.gel.layers)
-    clear = sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers}), "leds": ()})
-    scene, _ = description(clear, sheet, False)
-    surfaces = 1 + sum(name.startswith("into_") for name in scene)
-    scene["integrator"] |= {"max_depth": surfaces, "rr_depth": surfaces + 1}
-    scene["sensor"]["sampler"] = {"type": "stratified", "sample_count": spp}
-    glow = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_uv1"}}
-    face = mesh(mi, sheet.at(surface), sheet.faces, {"emitter": glow})
-    face.add_attribute("vertex_uv1", 3, np.column_stack([sheet.uv, np.ones(len(sheet.uv))]).astype(np.float32).ravel())
-    built = mi.load_dict(realise(mi, scene) | {"face": face})
-    u, v, one = np.moveaxis(np.array(mi.render(built, spp=spp), dtype=np.float64), -1, 0)
-    with np.errstate(invalid="ignore"):  # off the pad nothing radiates
-        return np.asarray((np.stack([u, v], axis=-1) / one[..., None] - 0.5) * sheet.size)

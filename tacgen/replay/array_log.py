@@ -180,8 +180,6 @@ def _rows(name: str, array: Array, count: int, width: int, environment: int | No
 
 
 def _poses(name: str, position: Array, quaternion: Array, order: str) -> Array:
-    from scipy.spatial.transform import Rotation
-
     large = ~(np.abs(np.hstack([position, quaternion])) < MAX_TABLE_VALUE).all(1)  # or nan
     length = np.linalg.norm(np.where(large[:, None], np.nan, quaternion), axis=1)
     if (wrong := ~(np.abs(length - 1) <= QUATERNION_TOL)).any():
@@ -189,10 +187,7 @@ def _poses(name: str, position: Array, quaternion: Array, order: str) -> Array:
         raise ValueError(
             f"{name}: row {row}: a pose needs numbers and a quaternion of length 1 (got {length[row]:.4g})"
         )
-    poses = np.tile(np.eye(4), (len(position), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(quaternion[:, QUATERNION_ORDERS[order]], scalar_first=True).as_matrix()
-    poses[:, :3, 3] = position
-    return poses
+    return pose_table.matrices(position, quaternion[:, QUATERNION_ORDERS[order]])
 
 
 def _first(wrong: Array) -> int:

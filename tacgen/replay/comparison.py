@@ -15,13 +15,13 @@ import numpy as np
 
 from tacgen.base import csv_table, output_file
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.force_error import FORCE_STD_PATH
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import Placement
 from tacgen.replay.contact_log import ContactLog
 from tacgen.report import force_figure
 
 Array = np.ndarray
-STD_PATH = "/frames/uncertainty/force"
 MIN_CONTACT_FORCE_N = 1e-3  # smallest force that counts as contact [N]
 MIN_TORQUE_N_MM = 1e-3  # smallest torque that errors are divided by [N mm]
 COMPARISON_FILES = ("forces.csv", "forces.txt", "forces.png")
@@ -101,7 +101,7 @@ def compare(log: ContactLog, bundle: Bundle, sensor_pose: Placement) -> Compared
             arm = mount[:, :3, 3] if done.sensor is None else (done.sensor[:, :3, :3] @ mount[0, :3, 3])
             their_torque = np.einsum("nji,nj->ni", turned, done.torque - np.cross(arm, done.force))
     force, torque = bundle["/frames/force"], bundle["/frames/torque"]
-    std = bundle[STD_PATH] if STD_PATH in bundle.shapes else None
+    std = bundle[FORCE_STD_PATH] if FORCE_STD_PATH in bundle.shapes else None
     return Compared(done, bundle.path.stem, str(bundle.attrs["reason"]), force, torque, std, theirs, their_torque)
 
 

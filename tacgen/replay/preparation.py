@@ -63,7 +63,7 @@ def prepare(
     indenter = row.recipe.indenter
     if indenter.shape == "mesh":
         indenter = indenter.model_copy(update={"file": str(row.mesh_path.resolve())})
-    gel = scene_of_row.gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
+    gel = scene_of_row.gel_of(row.sensor, row.solid_path)
     body = selection.body_of(indenter, given, np.eye(3)[None])
     chosen = [selection.chosen(log, body, gel, template.sensor_pose, choice) for log in logs]
     touching = [log for log in chosen if isinstance(log, ContactLog)]

@@ -12,8 +12,9 @@ import numpy as np
 from tacgen.base.errors import UserError
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.bundle.caption import caption, indenter_text, sensor_text
+from tacgen.bundle.caption import caption, indenter_text
 from tacgen.bundle.force_error import force_error
+from tacgen.bundle.scene_words import finger_text
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report.frame_curves import draw_forces, draw_lift
 from tacgen.report.layers import has_arrows, limits, map_of
@@ -132,7 +133,7 @@ def summary(path: Path) -> str:
     status = attrs["status"] + (f" ({attrs['reason']})" if attrs["reason"] else "")
     runs = [f"{kind} {len(list(group))}" for kind, group in groupby(bundle.segments) if kind]
     lines = [
-        f"{path}: {bundle.recipe.get('name', '')}, {sensor_text(bundle)}, {indenter_text(bundle)}",
+        f"{path}: {bundle.recipe.get('name', '')}, {finger_text(attrs)}, {indenter_text(bundle)}",
         f"about     {caption(bundle)}",
         f"status    {status}",
         f"frames    {bundle.frames} of {attrs['frames_planned']}" + (f": {', '.join(runs)}" if runs else ""),
@@ -169,7 +170,7 @@ def _mesh(quality: dict[str, Any]) -> str:
 
 def heading(sheet: Page, bundle: Bundle) -> None:
     """The bundle's name, indenter and sensor at the top of a sheet, and in red why it was rejected."""
-    text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {sensor_text(bundle)}"
+    text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {finger_text(bundle.attrs)}"
     plain: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}  # names may hold $
     sheet.figure.text(0.5, 1 - 0.12 / sheet.height, text, fontsize=11, **plain)
     if bundle.attrs["status"] != "ok":

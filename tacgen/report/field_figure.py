@@ -18,18 +18,7 @@ from tacgen.geometry.surface_nets import Triangles
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import Indenter, analytic
-from tacgen.report.bundle_figure import (
-    draw_camera,
-    draw_map,
-    evenly,
-    frame_axes,
-    heading,
-    image_size,
-    label_x,
-    scale_of,
-    window_of,
-    zoom,
-)
+from tacgen.report import bundle_figure
 from tacgen.report.layers import datasets_of
 from tacgen.report.plane_cut import crossed, cut, outline
 from tacgen.report.sheet import Page
@@ -75,7 +64,7 @@ def figure(bundle: Bundle, field: str) -> "Figure":
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
     if not bundle.frames:
         raise UserError(f"{bundle.path}: has no frames to show")
-    shown, image = evenly(bundle.frames, MAX_FIELD_COLUMNS), image_size(bundle)
+    shown, image = bundle_figure.evenly(bundle.frames, MAX_FIELD_COLUMNS), bundle_figure.image_size(bundle)
     wide = max(FIELD_PANEL_IN, MIN_FIELD_WIDTH_IN / len(shown) - FIELD_GAP_IN)
     tall = wide * (SECTION_HEIGHT_RATIO if rows > 1 else image[0] / image[1])
     right = 0.9 + len(shown) * (wide + FIELD_GAP_IN)
@@ -89,11 +78,11 @@ def figure(bundle: Bundle, field: str) -> "Figure":
     for panel, k in zip(grid[0], shown, strict=True):
         panel.set_title(f"frame {k} {bundle.segments[k]}", fontsize=8, pad=4)
     if rows == 1:
-        label_x(grid[0], scale_of(bundle).unit)
+        bundle_figure.label_x(grid[0], bundle_figure.scale_of(bundle).unit)
     wrapped = textwrap.fill(note, int(14 * sheet.width))  # letters of this size an inch
     above = 0.28 if draw is _camera else 0.1  # a line of `draw_camera`
     sheet.figure.text(0.5, above / sheet.height, wrapped, ha="center", va="bottom", fontsize=8)
-    heading(sheet, bundle)
+    bundle_figure.heading(sheet, bundle)
     return sheet.figure
 
 
@@ -102,11 +91,11 @@ Grid = list[list["Axes"]]
 
 
 def _map(name: str, bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
-    return [(*draw_map(bundle, grid[0], shown, image, window_of(bundle), name), {})]
+    return [(*bundle_figure.draw_map(bundle, grid[0], shown, image, bundle_figure.window_of(bundle), name), {})]
 
 
 def _camera(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
-    draw_camera(bundle, grid[0], shown, image, (0.0, 1.0, 0.0, 1.0))
+    bundle_figure.draw_camera(bundle, grid[0], shown, image, (0.0, 1.0, 0.0, 1.0))
     return []
 
 
@@ -119,7 +108,7 @@ def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> l
             postprocess.contact_state(bundle, int(k)), cmap=colours, vmin=-0.5, vmax=3.5,
             extent=(0, image[1], image[0], 0), interpolation="nearest",
         )  # fmt: skip
-    zoom(bundle, grid[0], image, window_of(bundle), "contact")
+    bundle_figure.zoom(bundle, grid[0], image, bundle_figure.window_of(bundle), "contact")
     return [(drawn, "", {float(state): name for state, (name, _) in CONTACT_STATE_STYLES.items()})]
 
 
@@ -155,10 +144,10 @@ def draw_stress(
             low = points[:, 2].min() - 0.1
             panel.set(xlim=(middle - half, middle + half), ylim=(low, low + 2 * half * SECTION_HEIGHT_RATIO))
             panel.set(facecolor="white", aspect="equal")
-        frame_axes(row, "z [mm]")
+        bundle_figure.frame_axes(row, "z [mm]")
         symbol, _, index = name.partition("_")
         bars.append((drawn, (f"${symbol}_{{{index}}}$" if index else name) + " [MPa]", {}))
-    label_x(grid[-1], "mm")
+    bundle_figure.label_x(grid[-1], "mm")
     return bars
 
 

@@ -16,7 +16,8 @@ from tacgen.report.dataset_summary import Overview, SceneOverview, shape_name
 from tacgen.report.html_page import table
 from tacgen.report.scene_pages import movement
 from tacgen.report.sensor_sheet import name_and_unit
-from tacgen.report.sheet import counted, short
+from tacgen.report.sheet import counted
+from tacgen.sensor.yaml_source import shortest_ends
 
 MAX_REPORT_PICTURES = 48
 MAX_SCATTER_PLOTS = 15  # scatter plots of two varied numbers
@@ -88,7 +89,7 @@ def _coverage(seen: Overview) -> str:
     for each scene, coloured by its state."""
     numbers = {p: np.array(v, float) for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
     colours = [scene.state if scene.state in STATES else "other" for scene in seen.scenes]
-    names = {path: "{} [{}]".format(*name_and_unit(name)) for path, name in short(seen.varied).items()}
+    names = {path: "{} [{}]".format(*name_and_unit(name)) for path, name in shortest_ends(seen.varied).items()}
     names = {path: name.removesuffix(" []") for path, name in names.items()}
     rows = [(path, dataset_summary.spread(values)) for path, values in seen.varied.items()]
     plots = [svg_plots.histogram(names[path], values) for path, values in numbers.items()]

@@ -16,7 +16,8 @@ from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.report import dataset_summary, html_page, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview, shape_name
-from tacgen.report.sheet import counted, short
+from tacgen.report.sheet import counted
+from tacgen.sensor.yaml_source import shortest_ends
 
 MAX_SCENE_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
 PICTURE_WIDTH_PX = 240  # of a scene in a list [px]
@@ -110,7 +111,7 @@ def filters(scenes: Sequence[SceneOverview]) -> str:
 
 def cards(seen: Overview, scenes: Iterable[SceneOverview], links: Mapping[str, str]) -> str:
     """A list of scenes with bundles: picture, name, largest force, what happens in words, links to telling frames."""
-    names = short(seen.varied)
+    names = shortest_ends(seen.varied)
     return f"<ol class=scenes>{''.join(_card(i, scene, links, names) for i, scene in enumerate(scenes))}</ol>"
 
 

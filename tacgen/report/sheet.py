@@ -1,6 +1,5 @@
-"""Parts of reports: pages of plots, counts and durations as text, short names of paths."""
+"""Parts of reports: pages of plots, counts and durations as text."""
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -56,16 +55,3 @@ def duration(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
-
-
-def short(paths: Iterable[str]) -> dict[str, str]:
-    """Path -> its shortest end that no other path has: `leds[0].power` and `leds[1].power`."""
-    steps = {path: path.split(".") for path in paths}
-
-    def alone(path: str, n: int) -> bool:
-        return sum(other[-n:] == steps[path][-n:] for other in steps.values()) == 1
-
-    return {
-        path: ".".join(own[-next((n for n in range(1, len(own)) if alone(path, n)), len(own)) :])
-        for path, own in steps.items()
-    }

@@ -239,15 +239,11 @@ def needs(model: type[BaseModel], loc: KeyPath) -> str:
     kind = next((kind for kind in here if _is_model(kind) and kind is not model), None)
     if kind is None:
         return ""
-    names = ", ".join(name for name, field in kind.model_fields.items() if field.is_required() or _is_tag(name))
+    chosen = [name for name, usual in CHOICE_KEYS.items() if usual is None]  # in Python the class gives them
+    names = ", ".join(name for name, field in kind.model_fields.items() if field.is_required() or name in chosen)
     if lists:
         return f" (a list, each with {names})" if names else " (a list)"
     return f" ({names})"
-
-
-def _is_tag(name: str) -> bool:
-    """Whether a file must give this key, though in Python the class gives it."""
-    return name in CHOICE_KEYS and CHOICE_KEYS[name] is None
 
 
 def _of_another_kind(model: type[BaseModel], loc: KeyPath) -> str:

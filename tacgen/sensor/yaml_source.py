@@ -203,6 +203,13 @@ def parents_first(paths: Iterable[str]) -> list[str]:
     return sorted(paths, key=lambda text: text.count(".") + text.count("["))
 
 
+def shortest_ends(paths: Iterable[str]) -> dict[str, str]:
+    """Path -> its shortest end, from a key on, that no other path has: `depth_mm`, `leds[0].power`."""
+    ends = {path: [path.split(".")[-n:] for n in range(1, path.count(".") + 2)] for path in paths}
+    every = [end for own in ends.values() for end in own]
+    return {path: ".".join(next((end for end in own if every.count(end) == 1), own[-1])) for path, own in ends.items()}
+
+
 def load(path: Path) -> Tree:
     """Read a YAML file. Raises UserError: it cannot be read, is not text or not YAML, or has a key twice."""
     kept = _parsed(text_of(path), str(path), path.parent)

@@ -84,7 +84,8 @@ def write(source: Recording, felt: Felt, out: Path, *, overwrite: bool) -> list[
         _episodes(given, folder, rows)
         whole = _json(given / "meta/stats.json") if (given / "meta/stats.json").exists() else {}
         whole |= _aggregated([stats[index] for index in sorted(stats)])
-        info = info | {"features": info["features"] | new, "data_path": _template()}
+        template = DATA_PATH.replace("{:", "{chunk_index:", 1).replace("{:", "{file_index:", 1)
+        info = info | {"features": info["features"] | new, "data_path": template}
         for name, content in (("stats", whole), ("info", info)):
             add(folder / "meta" / f"{name}.json", json.dumps(content, indent=4, ensure_ascii=False) + "\n")
         made = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
@@ -105,11 +106,6 @@ def _json(path: Path) -> Any:
         return json.loads(regular_file.read_bytes(path, MAX_JSON_BYTES))
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: is not JSON: {error}") from None
-
-
-def _template() -> str:
-    """DATA_PATH as meta/info.json has it."""
-    return DATA_PATH.replace("{:", "{chunk_index:", 1).replace("{:", "{file_index:", 1)
 
 
 def _features(touch: Touch, texts: dict[str, list[str]]) -> dict[str, dict[str, Any]]:

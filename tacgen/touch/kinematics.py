@@ -206,7 +206,8 @@ class Kinematics:
         m = self.model
         welded = [k for k in range(m.nbody) if k in self._fixed(m.body(body).id)]
         mass = m.body_mass[welded]
-        frames = self._frames(m.body(body).id)
+        world = self._world(m.qpos0[None])[:, 0]
+        frames = np.asarray(np.linalg.inv(world[m.body(body).id]) @ world)  # of all bodies in the frame of this one
         centres = np.array([frames[k][:3, :3] @ m.body_ipos[k] * M_TO_MM + frames[k][:3, 3] for k in welded])
         centre = mass @ centres / mass.sum() if mass.sum() > 0 else None
         found = surfaces.of_solids(body, self._solids(welded, frames)) if surface is None else surface
@@ -222,11 +223,6 @@ class Kinematics:
             if int(m.body_parentid[k]) in found and not m.body_weldid[k]:
                 found.add(k)
         return found
-
-    def _frames(self, body: int) -> Array:
-        """Poses (bodies, 4, 4) [mm] of all bodies in the frame of one, in the model's first state."""
-        world = self._world(self.model.qpos0[None])[:, 0]
-        return np.asarray(np.linalg.inv(world[body]) @ world)
 
     def _solids(self, bodies: Sequence[int], frames: Array) -> list[RigidPart]:
         """The parts of bodies that are fixed to each other: what collides, or all where nothing does."""

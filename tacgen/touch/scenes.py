@@ -93,8 +93,7 @@ def prepare(source: Recording, fingers: Sequence[Finger], asked: TouchChoice, fo
             `folder` is in the way.
     """
     bases = {finger.name: _base(finger, asked) for finger in fingers}
-    gels = {name: scene_of_row.gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
-            for name, row in bases.items()}  # fmt: skip
+    gels = {name: scene_of_row.gel_of(row.sensor, row.solid_path) for name, row in bases.items()}
     things = {name: (thing, intervals.body_of(thing)) for name, thing in source.things.items()}
     notes, episodes = list[str](), list[EpisodeLog]()
     contacts = list[tuple[AtFinger, ...]]()
@@ -286,7 +285,7 @@ class _Writer:
         asked = QUALITIES.get(self.asked.quality)
         if asked is None or any(text.strip().startswith("quality") for text in self.asked.sets):
             return self.asked.quality, 0.0
-        gel = scene_of_row.gel_of(base.sensor, base.solid_path if base.sensor.gel.solid else None)
+        gel = scene_of_row.gel_of(base.sensor, base.solid_path)
         face = selection.face_points(gel)
         some = group[:: -(-len(group) // MAX_SAMPLED_POSES)]
         area = 0.0

@@ -417,7 +417,7 @@ def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacki
     write(bad, outputs=frozenset({"force"}))
     if kind not in ("webdataset", "zarr"):  # which take whatever there is
         assert ": has no /frames/" in refused(bad.read_bytes())
-    monkeypatch.setattr("tacgen.bundle.bundle.BUNDLE_FORMAT", 99)
+    monkeypatch.setattr("tacgen.bundle.schema.BUNDLE_FORMAT", 99)
     write(bad, outputs=frozenset({"force"}))
     monkeypatch.undo()
     assert "bundle format 99" in refused(bad.read_bytes())

@@ -48,10 +48,32 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
     return sensor, untouched, moved
 
 
+def rest(sensor: LitSensor, sheet: Sheet, surface: Surface, spp: int, variant: str) -> Array:
+    """Where the coating's point behind each pixel rests (H, W, 2) [mm], as Mitsuba's paths find it through the layers.
+
+    The coating radiates its own UV, beside a constant by which losses on the way are divided out; nothing else does,
+    and paths are only as long as the straight one. A layer that scatters is taken as clear.
+    """
+    mi = mitsuba_path.mitsuba(variant)
+    layers = tuple(layer.model_copy(update={"scattering": None}) for layer in sensor.gel.layers)
+    clear = sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers}), "leds": ()})
+    scene, _ = mitsuba_path.description(clear, sheet, False)
+    surfaces = 1 + sum(name.startswith("into_") for name in scene)
+    scene["integrator"] |= {"max_depth": surfaces, "rr_depth": surfaces + 1}
+    scene["sensor"]["sampler"] = {"type": "stratified", "sample_count": spp}
+    glow = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_uv1"}}
+    face = mitsuba_path.mesh(mi, sheet.at(surface), sheet.faces, {"emitter": glow})
+    face.add_attribute("vertex_uv1", 3, np.column_stack([sheet.uv, np.ones(len(sheet.uv))]).astype(np.float32).ravel())
+    built = mi.load_dict(mitsuba_path.realise(mi, scene) | {"face": face})
+    u, v, one = np.moveaxis(np.array(mi.render(built, spp=spp), dtype=np.float64), -1, 0)
+    with np.errstate(invalid="ignore"):  # off the pad nothing radiates
+        return np.asarray((np.stack([u, v], axis=-1) / one[..., None] - 0.5) * sheet.size)
+
+
 def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str, spp: int = 256) -> Error:
     """Errors of marker positions and of dense flow; a sensor without markers gets a grid of 1 mm."""
     camera, fine, own = PinholeCamera.from_sensor(sensor), *(Sheet.over(sensor.gel, d) for d in (SPACING, SHEET))
-    before, after = (mitsuba_path.rest(sensor, fine, face, spp, variant) for face in (untouched, moved))
+    before, after = (rest(sensor, fine, face, spp, variant) for face in (untouched, moved))
     if sensor.markers is not None:
         dots = coating.centers(sensor.markers)
     else:

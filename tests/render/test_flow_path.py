@@ -8,7 +8,7 @@ from helpers.tiny import sensor
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.render import mitsuba_path, mitsuba_variants
+from tacgen.render import mitsuba_variants
 
 
 class Sheared:
@@ -45,7 +45,7 @@ def test_a_camera_that_is_not_straight_sees_what_path_sees(camera: dict) -> None
     sheet, dent = Sheet.over(model.gel, 0.1), Sheared()
     own, traced = (
         DrawnFace(sheet, dent, PinholeCamera.from_sensor(model)).behind(sheet.rest),
-        mitsuba_path.rest(model, sheet, dent, 64, mitsuba_variants.SCALAR_VARIANT),
+        flow.rest(model, sheet, dent, 64, mitsuba_variants.SCALAR_VARIANT),
     )
     off = (own - traced) / model.camera.mm_per_px
     assert np.sqrt(np.nanmean(off**2)) < 0.02

@@ -17,7 +17,7 @@ from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, pack, run_status
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.report import dataset_card, dataset_summary, html_report
-from tacgen.report.sheet import short
+from tacgen.sensor.yaml_source import shortest_ends
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_captions_tell_what_was_varied_apart(tmp_path: Path):
     write(tmp_path / "scene-00000.h5", values=values)
     page = html_report.page(dataset_summary.look(tmp_path))
     assert "<p class=soft>friction 0.5, leds[0].power 1, leds[1].power 1.25</p>" in page
-    assert short(["a.b", "b", "c.a.b"]) == {"a.b": "a.b", "b": "b", "c.a.b": "c.a.b"}
+    assert shortest_ends(["a.b", "b", "c.a.b"]) == {"a.b": "a.b", "b": "b", "c.a.b": "c.a.b"}
 
 
 def test_causes_leave_numbers_out_and_count(folder: Path):
