@@ -269,7 +269,7 @@ def test_workers_make_ready_before_their_first_scene(tmp_path: Path, monkeypatch
     ready.mkdir()
     monkeypatch.setenv("MADE_READY", str(ready))
     rows = make_plan(tmp_path).rows[:2]
-    with Pool(1, task=TASK, first="helpers.made_ready:noted") as pool:
+    with Pool(1, task=TASK, first="helpers.scenes:noted") as pool:
         results = pool.run(rows, tmp_path / "out")
         (process,) = (worker.process.pid for worker in pool.workers)
     assert [result.status for result in results] == ["ok", "ok"]
