@@ -341,8 +341,6 @@ def test_init_writes_a_recipe_that_validates_with_its_schema(tmp_path: Path):
     assert path.read_text().startswith("# yaml-language-server: $schema=tacgen.schema.json\n")
     assert "extends" in json.loads((path.parent / "tacgen.schema.json").read_text())["properties"]
     told("validate", path)
-    assert refused("init", path) == f"{path}: is there already; --overwrite replaces it\n"
-    told("init", path, "--overwrite")
 
 
 def test_schemas_name_every_shape_and_unit():

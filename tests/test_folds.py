@@ -77,20 +77,14 @@ def test_kept_frames_are_marked_from_the_fold_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("folding")
-def test_the_card_counts_folds(tmp_path: Path) -> None:
+def test_the_card_and_the_last_line_of_a_run_count_folds(tmp_path: Path) -> None:
     (tmp_path / "recipe.yaml").write_text(PRESS)
     by_kind = "in 2 of 3 frames (`/frames/quality/unique`): sphere 2 of 3; press 2 of 3"
     for folds, says in (("keep", by_kind), ("end", "ended before the gel folds: 1 frames are here")):
         out = tmp_path / folds
         pipeline.run(plan.load(tmp_path / "recipe.yaml", (f"folds={folds}",)).rows, out)
         assert says in dataset_card.text(dataset_summary.look(out))
-
-
-@pytest.mark.usefixtures("folding")
-def test_the_last_line_of_a_run_counts_folds(tmp_path: Path) -> None:
-    (tmp_path / "recipe.yaml").write_text(PRESS)
-    pipeline.run(plan.load(tmp_path / "recipe.yaml").rows, tmp_path / "out")
-    said = " ".join(told("run", tmp_path / "recipe.yaml", "-o", tmp_path / "out").split())
+    said = " ".join(told("run", tmp_path / "recipe.yaml", "-o", tmp_path / "keep", "--set", "folds=keep").split())
     assert "1 scene kept, 0 rejected; 2 of 3 frames after a fold of the gel, where forces are not unique" in said
 
 

@@ -125,8 +125,7 @@ NOT_NUMPY = {
     *(f"sensor.{name}" for name in ("base_model", "imperfections", "layers", "model", "optics_checks")),
     *("sensor.validation_messages", "sensor.yaml_source", "recipe.model", "recipe.assets", "recipe.plan"),
     *("recipe.row", "recipe.sampling", "recipe.sensor_base", "recipe.sensor_checks", "recipe.usual_sizes"),
-    *("recipe.loading", "sensor.optics_checks", "recipe.checks", "recipe.grasp_checks"),
-    *("sensor.validation_messages", "sensor.yaml_source", "recipe.trajectory", "recipe.indenters"),
+    *("recipe.loading", "recipe.checks", "recipe.grasp_checks", "recipe.trajectory", "recipe.indenters"),
     *("recipe.pose_table", "recipe.trajectory_checks", "outputs", "outputs.base"),
     *(f"outputs.{name}" for name in OUTPUTS),
 }

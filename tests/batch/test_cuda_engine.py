@@ -284,7 +284,7 @@ def test_no_gpu_is_one_line(tmp_path: Path) -> None:
         batch.run(planned(tmp_path), tmp_path / "out", engine="cuda")
 
 
-def test_states_survive_the_file(tmp_path: Path) -> None:
+def test_states_and_why_there_are_none_survive_the_file(tmp_path: Path) -> None:
     scene = scene_of_row.build(planned(tmp_path).rows[0])
     states = list(mechanics.states(scene, Problem.of(scene, mesh.of(scene))))
     states = [*states, replace(states[0], residual=np.float64(np.nan), iterations=np.int64(7), unique=False)]
@@ -297,12 +297,8 @@ def test_states_survive_the_file(tmp_path: Path) -> None:
             value, again = getattr(state, name), getattr(other, name)
             assert type(again) is type(value.item() if isinstance(value, np.generic) else value), name
             np.testing.assert_array_equal(value, again)
-
-
-def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "one.npz"
-    solution_file.write(path, SolvedScene("an engine", why="it is so"))
-    assert solution_file.read(path) == SolvedScene("an engine", [], "it is so")
+    solution_file.write(tmp_path / "one.npz", SolvedScene("an engine", why="it is so"))
+    assert solution_file.read(tmp_path / "one.npz") == SolvedScene("an engine", [], "it is so")
     assert solution_file.read(tmp_path / "none.npz") is None
 
 

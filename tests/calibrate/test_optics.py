@@ -213,6 +213,8 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
         (lambda p: grey(p / "press_0.png", 255, 90, 90),
          "press_0.png: 100 % of its pixels"),
         (lambda p: grey(p / "press_0.png", 2, 1, 1), "press_0.png: is dark"),
+        (lambda p: table(p, CIRCLE_COLUMNS, [("press_0.png", 4, 30, 28, 15)]),
+         "press_0.png: shows no press: it is like the untouched picture"),
         (lambda p: (p / "press_1.png").write_text("no"), "press_1.png: is no picture that can be read"),
         (lambda p: (p / "press_1.png").unlink(), "press_1.png: cannot be read: no such file"),
         (lambda p: _swap(p, "ball_radius_mm", "radius"),
@@ -356,11 +358,3 @@ def test_tolerances_are_finite(nominal: Path, tmp_path: Path, option: str, value
     grey(tmp_path / "background.png")
     done = calibrate("optics", "--sensor", nominal, "--images", tmp_path, f"--tolerance-{option}", value)
     refused(done, f"--tolerance-{option}: must be from 0 to")
-
-
-def test_a_press_that_shows_none_is_refused(nominal: Path, tmp_path: Path) -> None:
-    grey(tmp_path / "background.png")
-    grey(tmp_path / "press.png", 95, 95, 95)
-    table(tmp_path, CIRCLE_COLUMNS, [("press.png", 4, 30, 28, 15)])
-    with pytest.raises(UserError, match=r"press\.png: shows no press: it is like the untouched picture"):
-        optics.optics(str(nominal), tmp_path)

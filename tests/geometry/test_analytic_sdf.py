@@ -188,7 +188,7 @@ def solid(found: Triangles) -> trimesh.Trimesh:
     return trimesh.Trimesh(found.vertices, found.triangles, process=False)
 
 
-@pytest.mark.parametrize("shape", [*EACH, SphereSdf(0.3)], ids=repr)
+@pytest.mark.parametrize("shape", [*list(EACH)[:-1], SphereSdf(0.3), WedgeSdf(0.5, 0.2, 8.0)], ids=repr)
 def test_triangles_lie_on_the_shape(shape: Shape) -> None:
     found = surface_nets.of_shape(shape, half=12, height=4, tolerance=0.01)
     mesh = solid(found)

@@ -1,7 +1,6 @@
 """A sensor from a triangle mesh of the gel: a knob with an undercut, made here; and DIGIT's own, where it is."""
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks import photographs
 from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
@@ -17,8 +17,7 @@ from tacgen.mechanics import mesh
 from tacgen.recipe import loading, plan, scene_of_row
 
 Array = np.ndarray
-ROOT = Path(__file__).parents[2]
-DIGIT = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference")) / "geometry" / "digit_gel.stl"
+DIGIT = photographs.reference() / "geometry" / "digit_gel.stl"
 SENSOR = """\
 tacgen_sensor: 1
 name: knob

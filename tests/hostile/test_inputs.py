@@ -131,12 +131,6 @@ def test_numbers_and_names_beyond_use_are_refused(tmp_path: Path, override: str)
     assert outcome(lambda: plan.load(assets.recipe_path("quickstart"), sets), tmp_path) == "refused"
 
 
-@pytest.mark.parametrize("gravity", ["[1e300, 0, 0]", "[0, 0, -1e-320]", "[0, 0, 0]"])
-def test_gravity_is_a_direction(tmp_path: Path, gravity: str) -> None:
-    sets = [f"grasp.gravity={gravity}"]
-    assert outcome(lambda: plan.load(assets.recipe_path("grasp"), sets), tmp_path) == "refused"
-
-
 @pytest.mark.parametrize(("kind", "count"), [("inputs", 8), ("numbers", 8), ("logs", 15)])
 def test_damaged_inputs(tmp_path: Path, kind: str, count: int) -> None:
     source = attempts.inputs(tmp_path)

@@ -60,6 +60,8 @@ def test_a_cylinder_with_a_length_is_held_at_half_of_it(tmp_path: Path) -> None:
         (["trajectory=[close: {width_mm: 9, frames: 1}, replay: {file: no.csv}]"], "no.csv"),
         (["grasp.height_mm=11"], "grasp.height_mm: must be at most the object's height, 10"),
         (["grasp.gravity=[0, 0, 0]"], "grasp.gravity: must be a direction, such as 0, 0, -1 (got 0, 0, 0)"),
+        (["grasp.gravity=[1e300, 0, 0]"], "grasp.gravity[0]: must be within 1e+12"),
+        (["grasp.gravity=[0, 0, -1e-320]"], "grasp.gravity: "),
         (["grasp.right=nothing"], "grasp.right: "),
         (["grasp.right=ninedtact", "outputs=[markers]"], "grasp.right: asks for markers"),
     ],

@@ -10,6 +10,9 @@ from tacgen.recipe import assets, loading, plan
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.usual_values import assumed, unusual
 
+KEY = "sensor.gel.layers[0].youngs_modulus_mpa"
+QUICKSTART = assets.recipe_path("quickstart")
+
 
 @pytest.mark.parametrize("name", assets.list_sensors())
 def test_a_copy_of_every_shipped_sensor_is_that_sensor(name: str, tmp_path: Path) -> None:
@@ -88,19 +91,6 @@ def test_a_picture_that_is_larger_than_the_pad_is_told(tmp_path: Path) -> None:
     assert "camera.mm_per_px: the picture shows 31.7 x 15.2 mm, which is not all on the pad of 25.25 x 20.75 mm" in said
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "meant"),
-    [
-        ("trajectory[0].press.depth_mm", "0.001", "1 mm"),
-        ("trajectory[1].slide.x_mm", "0.0015", "1.5 mm"),
-        ("indenter", "{shape: cylinder, radius_mm: 3, fillet_mm: 0.0005}", "0.5 mm"),
-    ],
-)
-def test_lengths_in_metres_are_told(key: str, value: str, meant: str) -> None:
-    (line,) = plan.load(assets.recipe_path("quickstart"), [f"{key}={value}"]).warnings
-    assert line.endswith(f" mm is very small; lengths are in mm: {meant} if it is in m?")
-
-
 def test_a_radius_in_metres_is_told_in_the_error() -> None:
     said = tacgen_("validate", "quickstart", "--set", "indenter.radius_mm=0.003").stderr
     assert "lengths are in mm: 3 mm if it is in m?" in said
@@ -116,9 +106,16 @@ def test_usual_recipes_have_no_such_warning() -> None:
         assert not [line for line in made.warnings if any(text in line for text in told)], name
 
 
+METRES = "mm is very small; lengths are in mm: "
+GELS = "MPa; that of gels is 0.005 to 5, and moduli are in MPa"
+
+
 @pytest.mark.parametrize(
-    ("change", "line"),
+    ("change", "says"),
     [
+        ("trajectory[0].press.depth_mm=0.001", f"0.001 {METRES}1 mm if it is in m?"),
+        ("trajectory[1].slide.x_mm=0.0015", f"0.0015 {METRES}1.5 mm if it is in m?"),
+        ("indenter={shape: cylinder, radius_mm: 3, fillet_mm: 0.0005}", f"0.0005 {METRES}0.5 mm if it is in m?"),
         ("contact.friction=60", "contact.friction: a coefficient of 60; that of gels is at most about 3"),
         ("contact.friction=3", ""),
         ("trajectory[0].press.depth_mm=3.5",
@@ -126,35 +123,15 @@ def test_usual_recipes_have_no_such_warning() -> None:
         ("trajectory[0].press.depth_mm=2.8", ""),
         ("vary={samples: 3, over: {contact.friction: {uniform: [50, 60]}}}",
          "contact.friction: a coefficient of 55.7895; that of gels is at most about 3 (and 2 more scenes)"),
+        (f"{KEY}=200", f"200 {GELS}: 0.2 MPa if it is in kPa?"),
+        (f"{KEY}=410000", f"410000 {GELS}: 0.41 MPa if it is in Pa?"),
+        (f"{KEY}=0.0004", f"0.0004 {GELS}"),
     ],
 )  # fmt: skip
-def test_a_friction_that_no_gel_has_and_a_press_through_most_of_it_are_told(change: str, line: str) -> None:
-    told = plan.load(assets.recipe_path("quickstart"), [change]).warnings
-    assert len(told) == bool(line)
-    assert all(text.endswith(f": {line}") for text in told)
-
-
-KEY = "sensor.gel.layers[0].youngs_modulus_mpa"
-QUICKSTART = assets.recipe_path("quickstart")
-
-
-def told(*sets: str) -> tuple[str, ...]:
-    return plan.load(QUICKSTART, sets).warnings
-
-
-@pytest.mark.parametrize(
-    ("modulus", "says"),
-    [
-        ("200", "200 MPa; that of gels is 0.005 to 5, and moduli are in MPa: 0.2 MPa if it is in kPa?"),
-        ("410000", "410000 MPa; that of gels is 0.005 to 5, and moduli are in MPa: 0.41 MPa if it is in Pa?"),
-        ("0.0004", "0.0004 MPa; that of gels is 0.005 to 5, and moduli are in MPa"),
-    ],
-)
-def test_it_is_told_in_one_line(modulus: str, says: str) -> None:
-    (line,) = told(f"{KEY}={modulus}")
-    assert line.startswith(f"--set {KEY}={modulus}: gel.layers[0].youngs_modulus_mpa: ")
-    assert line.endswith(says)
-    assert "\n" not in line
+def test_what_is_unusual_is_told_in_one_line_where_it_stands(change: str, says: str) -> None:
+    told = plan.load(QUICKSTART, [change]).warnings
+    assert len(told) == bool(says)
+    assert all(line.startswith(f"--set {change}: ") and line.endswith(f" {says}") for line in told), told
 
 
 def test_a_gel_measured_in_metres_is_told() -> None:

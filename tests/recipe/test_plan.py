@@ -261,6 +261,7 @@ def test_a_key_changes_with_any_input_and_with_nothing_else():
     row = row_with()
     assert row.key == row_with().key == plan.load(assets.recipe_path("quickstart")).rows[0].key
     assert len(row.key) == 64
+    assert KEY_FORMAT == schema.BUNDLE_FORMAT
     others = [
         row_with(contact={"friction": 0.7}),
         row_with(outputs=["force"]),
@@ -271,10 +272,6 @@ def test_a_key_changes_with_any_input_and_with_nothing_else():
         Row(row.index, row.name, row.seed + 1, row.recipe, row.sensor),
     ]
     assert len({row.key, *(other.key for other in others)}) == len(others) + 1
-
-
-def test_the_format_in_keys_is_that_of_the_bundles():
-    assert KEY_FORMAT == schema.BUNDLE_FORMAT
 
 
 def test_scene_seeds_do_not_repeat():

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from tacgen.base.errors import UserError
 from tacgen.outputs import gel_surface
-from tacgen.recipe import assets, loading, scene_of_row, sensor_checks
+from tacgen.recipe import assets, loading, scene_of_row
 
 LIT = ("coating", "walls", "leds")
 FINE = 1.1674  # [N] on meshes of 0.25 and 0.2 mm edge (16 800 and 21 800 nodes), dhat 0.03 mm
@@ -46,18 +46,3 @@ def test_images_are_refused_where_no_lights_are_described(tmp_path: Path) -> Non
     told = [line for line in caught.value.lines if not line.startswith(" ")]
     assert len(told) == 1
     assert re.search(r"r\.yaml:3:10: outputs: asks for rgb: the sensor dark has no coating, walls, leds", told[0])
-
-
-def test_lights_come_all_together_or_a_plate_alone() -> None:
-    plain = loading.read_sensor(assets.sensor_path("gelsight_mini"))[1].data
-    without = {k: v for k, v in plain.items() if k not in ("coating", "walls", "leds")}
-    sensor, wrong = sensor_checks.check(without)
-    assert sensor is not None
-    assert not sensor.lit
-    assert wrong == []
-    sensor, wrong = sensor_checks.check({k: v for k, v in plain.items() if k not in ("plate", "walls")})
-    assert sensor is None
-    assert [(p.path, p.message) for p in wrong] == [
-        (("plate",), "is missing, and leds is there (thickness_mm, refractive_index)"),
-        (("walls",), "is missing, and leds is there (albedo)"),
-    ]

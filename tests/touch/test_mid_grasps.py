@@ -71,20 +71,13 @@ def test_what_is_no_grasp_is_said() -> None:
     assert why(alone, ball("ball", 0.02)) == [grasps.ALONE]
 
 
-def test_a_grasp_is_a_scene_with_the_mass_of_its_object(tmp_path: Path) -> None:
-    source = Made([grasped()], [ball("ball", 0.02)])
-    prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=COARSE[:1]), tmp_path)
-    (scene,) = prepared.scenes
-    recipe = prepared.plan.rows[scene].recipe
-    assert recipe.grasp is not None
-    assert recipe.grasp.mass_kg == 0.02
-    assert [each.name for each in prepared.plan.rows[scene].bundles] == ["scene-00001-L", "scene-00001-R"]
-
-
-def test_both_fingers_bear_the_weight(tmp_path: Path) -> None:
+def test_a_grasp_is_a_scene_whose_fingers_bear_the_weight_of_its_object(tmp_path: Path) -> None:
     source = Made([grasped()], [ball("ball", 0.02)])
     sets = (*COARSE, "quality={edge_mm: 1.5, dhat_mm: 0.15}")
     prepared = scenes.prepare(source, [LEFT, RIGHT], TouchChoice("grip", sets=sets), tmp_path)
+    (scene,) = prepared.scenes
+    assert prepared.plan.rows[scene].recipe.grasp.mass_kg == 0.02
+    assert [each.name for each in prepared.plan.rows[scene].bundles] == ["scene-00001-L", "scene-00001-R"]
     touches = labels.felt(prepared, pipeline.run(prepared.plan.rows, tmp_path))
     ((left, right),) = touches
     assert [one.touched for one in (left, right)] == [[""] * 3 + ["ball"] * 3 + [""] * 2] * 2
