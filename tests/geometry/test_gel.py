@@ -252,8 +252,7 @@ def test_a_varied_depth_and_a_sensor_override(tmp_path: Path) -> None:
         (("thickness_mm: 1.0", "thickness_mm: 0.5"), "gel.layers: the solid measures 3 mm along z (got 2.5)"),
         (("knob.stl", "nob.stl"), "nob.stl: no such object file"),
         (("  width_mm: 8.0", "  corner_radius_mm: 1\n  width_mm: 8.0"), "gel.corner_radius_mm: cannot be given beside"),
-        (("source: made by a test}", f"sha256: '{'0' * 64}', source: x}}"),
-         "gel.solid.sha256: knob.stl is another file"),
+        (("source: made by a test}", f"sha256: '{'0' * 64}', source: x}}"), "gel.solid.sha256: knob.stl is another"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_sensor_file(change: tuple[str, str], says: str, tmp_path: Path) -> None:
