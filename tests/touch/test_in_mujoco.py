@@ -96,11 +96,6 @@ def test_what_collides_is_the_surface_and_what_is_seen_only_where_nothing_collid
     seen = '<geom type="sphere" size="0.03" contype="0" conaffinity="0"/>'
     assert model_of(tmp_path, seen + PARTS["ball"]).thing("thing").surface.indenter["radius_mm"] == 10.0
     assert model_of(tmp_path, seen).thing("thing").surface.indenter["radius_mm"] == 30.0
-    bare = model_of(tmp_path, '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>')
-    with pytest.raises(UserError, match="object thing: has no geometry: give --object thing=MESH"):
-        bare.thing("thing")
-    with pytest.raises(UserError, match=r"object cup: .* has no such body; there are: thing"):
-        bare.thing("cup")
 
 
 def test_mass_and_centre_are_those_of_all_parts(tmp_path: Path) -> None:
