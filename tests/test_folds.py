@@ -13,7 +13,6 @@ from helpers.small_recipe import BALL, HEAD
 
 import tacgen
 from tacgen import mechanics
-from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import FOLDED_NOTE, check
@@ -86,11 +85,6 @@ def test_the_card_and_the_last_line_of_a_run_count_folds(tmp_path: Path) -> None
         assert says in dataset_card.text(dataset_summary.look(out))
     said = " ".join(told("run", tmp_path / "recipe.yaml", "-o", tmp_path / "keep", "--set", "folds=keep").split())
     assert "1 scene kept, 0 rejected; 2 of 3 frames after a fold of the gel, where forces are not unique" in said
-
-
-def test_folds_is_keep_or_end(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="folds: must be one of keep, end"):
-        made(tmp_path, f"{PRESS}folds: stop\n")
 
 
 @pytest.mark.slow

@@ -72,6 +72,7 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("outputs:", "quality: darft\noutputs:", "10:10: quality: must be one of draft, default, reference"),
         ("outputs:", "start: {clearance_mm: -1}\noutputs:",
          "10:23: start.clearance_mm: must be at least 0 (got -1): the"),
+        ("outputs:", "folds: stop\noutputs:", "10:8: folds: must be one of keep, end (got 'stop')"),
         # against the sensor
         ("depth_mm: 1.0", "depth_mm: 4", "8:23: trajectory[0].press.depth_mm: must be less than the gel is thick"),
         ("outputs:", "start: {x_mm: 13}\noutputs:", "10:15: start.x_mm: the indenter would start beside the pad"),

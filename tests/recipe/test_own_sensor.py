@@ -24,6 +24,7 @@ def test_a_copy_of_every_shipped_sensor_is_that_sensor(name: str, tmp_path: Path
     assert (mine.name, mine.base, assumed(mine)) == ("mine", name, [])
     assert mine.model_copy(update={"name": name, "base": None}) == theirs
     assert "#" in path.read_text().split("\n", 3)[1], "comments are kept"
+    assert not list(unusual(theirs.gel))
 
 
 def test_numbers_that_differ_from_the_copied_file_are_assumed(tmp_path: Path) -> None:
@@ -75,9 +76,6 @@ def test_show_has_every_number_with_its_unit_and_source() -> None:
     assert rows["leds[0].power"]["default"]
     assert "camera.noise.read" in rows
     assert not [path for path in rows if path.endswith("source")]
-
-
-def test_show_prints_the_file_itself() -> None:
     assert tacgen_("sensor", "show", "digit", "--yaml").stdout == assets.sensor_path("digit").read_text()
     assert tacgen_("sensor", "show", "digits").stderr == "no sensor is called 'digits'; did you mean digit?\n"
 
@@ -177,8 +175,3 @@ def test_the_other_finger_of_a_grasp_is_looked_at_too(tmp_path: Path) -> None:
     (tmp_path / "stiff.yaml").write_text(stiff)
     found = plan.load(assets.recipe_path("grasp"), [f"grasp.right={tmp_path}/stiff.yaml"]).warnings
     assert [line.split(": ")[0] for line in found] == ["digit"]
-
-
-def test_shipped_sensors_are_usual() -> None:
-    for name in assets.list_sensors():
-        assert not list(unusual(loading.read_sensor(assets.sensor_path(name))[0].gel)), name

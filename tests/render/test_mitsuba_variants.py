@@ -16,12 +16,9 @@ def _own_cache(tmp_path, monkeypatch):
     mitsuba_variants._asked.cache_clear()
 
 
-def test_scalar_really_renders():
+def test_scalar_renders_and_a_wrong_llvm_library_is_a_no_and_not_the_end_of_the_process(tmp_path):
     found = mitsuba_variants.probe(mitsuba_variants.SCALAR_VARIANT)
     assert found.works, found.note
-
-
-def test_a_wrong_llvm_library_is_a_no_and_not_the_end_of_the_process(tmp_path):
     wrong = tmp_path / "libLLVM.so"
     wrong.write_bytes(b"not a library")
     found = mitsuba_variants.probe(mitsuba_variants.LLVM_VARIANT, str(wrong))

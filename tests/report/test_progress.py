@@ -86,22 +86,20 @@ RUN = (
 )
 
 
-def test_a_line_a_scene_where_there_is_no_terminal():
+def test_a_line_a_scene_where_there_is_no_terminal_and_a_frame_where_there_is_one_scene():
     lines = shown(2, *RUN).splitlines()
     assert lines[0].startswith("scene-00001: once more: its worker [1] was killed (about ")
     assert lines[1].startswith("scene-00000: rejected: stalled [here] (about ")
     assert lines[2:] == ["scene-00001: ok"]
-
-
-def test_a_note_is_reported_once_for_all_scenes():
-    notes = ({"event": "note", "scene": f"scene-0000{k}", "note": "its edges are sharp"} for k in range(2))
-    assert shown(2, *notes) == "scene-00000: note: its edges are sharp\n"
-
-
-def test_a_line_a_frame_where_there_is_one_scene():
     said = shown(1, frame("scene-00000", 1), frame("scene-00000", 3), end("scene-00000", solve=1.0)).splitlines()
     assert (said[0], said[-1]) == ("scene-00000: frame 1 of 4", "scene-00000: ok")
     assert said[1].startswith("scene-00000: frame 3 of 4 (about ")
+
+
+def test_notes_are_reported_once_and_not_again_what_was_said_while_the_recipe_was_read():
+    assert shown(2, {"event": "compiling", "scene": "scene-00001"}, noted=[COMPILING]) == ""
+    notes = ({"event": "note", "scene": f"scene-0000{k}", "note": "its edges are sharp"} for k in range(2))
+    assert shown(2, *notes) == "scene-00000: note: its edges are sharp\n"
 
 
 def test_scenes_of_an_earlier_run_are_said_to_be_kept():
@@ -131,10 +129,6 @@ def test_what_was_there_already_and_what_comes_once_say_nothing_about_the_time_l
     assert stream.getvalue().count("compiling") == 1
     assert stream.getvalue().count("tracing") == 1
     assert "(about 10 s left)" in stream.getvalue()  # 10 s from the second frame to the third, one to go
-
-
-def test_what_was_said_while_the_recipe_was_read_is_not_repeated():
-    assert shown(2, {"event": "compiling", "scene": "scene-00001"}, noted=[COMPILING]) == ""
 
 
 def test_a_bar_on_a_terminal_unless_colour_is_unwanted(monkeypatch: pytest.MonkeyPatch):

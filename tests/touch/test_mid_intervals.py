@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from helpers.small_recipe import row
 
-from tacgen.base.errors import UserError
 from tacgen.recipe import scene_of_row
 from tacgen.recipe.trajectory import Placement
 from tacgen.replay import selection
@@ -63,13 +62,6 @@ def test_rows_without_a_pose_are_said_and_end_an_interval() -> None:
     made = found(one, ball("ball"))
     assert [part.rows for part in made.intervals] == [(0, 2), (4, 6)]
     assert made.note[3] == "the pose of hand or of ball is not recorded"
-
-
-def test_an_episode_without_the_fingers_body() -> None:
-    one = episode({"ball": over([9.0, 9.0])})
-    del one.bodies["hand"]  # type: ignore[attr-defined]
-    with pytest.raises(UserError, match=r"episode 0: has no body hand for --sensor left \(it has: ball\)"):
-        found(one, ball("ball"))
 
 
 def test_a_higher_rate_puts_poses_between_rows() -> None:
