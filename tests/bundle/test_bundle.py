@@ -292,11 +292,6 @@ def test_no_flipped_bit_goes_unseen(tmp_path: Path) -> None:
     assert refused > 30
 
 
-def change(path: Path, **attrs: object) -> None:
-    with h5py.File(path, "a") as file:
-        file.attrs.update(attrs)
-
-
 @pytest.mark.parametrize(
     ("attrs", "message"),
     [
@@ -309,9 +304,9 @@ def change(path: Path, **attrs: object) -> None:
     ],
 )
 def test_changed_attributes_or_data_are_refused(tmp_path: Path, attrs: dict, message: str) -> None:
-    change(write(tmp_path / "x.h5"), **attrs)
-    if not attrs:
-        with h5py.File(tmp_path / "x.h5", "a") as file:
+    with h5py.File(write(tmp_path / "x.h5"), "a") as file:
+        file.attrs.update(attrs)
+        if not attrs:
             file["frames/force"][3, 2] += 1e-9
     with pytest.raises(UserError, match=message) as caught:
         read(tmp_path / "x.h5").verify()

@@ -29,15 +29,11 @@ def read_again(recipe: dict[str, Any]) -> Sequence[Row]:
     return plan.load(_tree(recipe, "recipe", {})).rows
 
 
-def path_down(to_mm: float) -> np.ndarray:
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[:, 2, 3] = 0.1, to_mm
-    return poses
-
-
 def test_a_scene_of_a_trimesh_along_an_array_of_poses_is_made_again(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
-    frames = tacgen.simulate("gelsight_mini", ball, path_down(-0.3), outputs="force", quality=COARSE)
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 2, 3] = 0.1, -0.3
+    frames = tacgen.simulate("gelsight_mini", ball, poses, outputs="force", quality=COARSE)
     kept = frames.save(tmp_path / "kept.h5")
     del frames
     frames = tacgen.read(kept)

@@ -97,19 +97,16 @@ def test_blue_is_shaded_above_a_dent_as_faintly_as_in_the_photograph():
     assert shaded == pytest.approx(real, abs=8)
 
 
-def fine(picture):
-    """A picture (H, W, 3) in the band."""
-    low, high = (ndimage.gaussian_filter(picture, (width, width, 0)) for width in (NEAR, FAR))
-    return low - high
-
-
 @needs("gelsight_mini")
 @pytest.mark.slow
 def test_the_untouched_coat_has_grain_as_photographs_have():
     """Of green and blue together, in a band of 0.8 to 3.2 px, over their light: noise is not common to both."""
 
     def common(pictures: list[np.ndarray]) -> float:
-        relative = [fine(one) / ndimage.gaussian_filter(one, (FAR, FAR, 0)) for one in pictures]
+        relative = []
+        for one in pictures:
+            low, high = (ndimage.gaussian_filter(one, (width, width, 0)) for width in (NEAR, FAR))
+            relative.append((low - high) / high)
         edge = slice(10, -10), slice(10, -130)  # where no press is near
         first, *others = (one[edge] for one in relative)
         return float(np.mean([(first[..., 1] * other[..., 2]).mean() for other in others]))
