@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from tacgen.base.errors import UserError
 from tacgen.outputs import gel_surface
-from tacgen.recipe import assets, loading, scene_of_row
+from tacgen.recipe import assets, loading, scene_of_row, sensor_checks
 
 LIT = ("coating", "walls", "leds")
 FINE = 1.1674  # [N] on meshes of 0.25 and 0.2 mm edge (16 800 and 21 800 nodes), dhat 0.03 mm
@@ -37,8 +37,11 @@ def test_the_camera_sees_the_skin_from_inside() -> None:
     assert beside > 0.03  # what was pressed away bulges around
 
 
-def test_images_are_refused_where_no_lights_are_described(tmp_path: Path) -> None:
-    dark = {k: v for k, v in loading.read_sensor(assets.sensor_path("ninedtact"))[1].data.items() if k not in LIT}
+def test_images_are_refused_where_no_lights_or_half_of_them_are_described(tmp_path: Path) -> None:
+    data = loading.read_sensor(assets.sensor_path("ninedtact"))[1].data
+    _, wrong = sensor_checks.check({k: v for k, v in data.items() if k != "walls"})
+    assert [(p.path, p.message) for p in wrong] == [(("walls",), "is missing, and leds is there (albedo)")]
+    dark = {k: v for k, v in data.items() if k not in LIT}
     YAML(typ="safe").dump({**dark, "name": "dark"}, tmp_path / "dark.yaml")
     (tmp_path / "r.yaml").write_text("extends: quickstart\nsensor: dark.yaml\noutputs: [force, rgb]\n")
     with pytest.raises(UserError) as caught:
