@@ -79,11 +79,23 @@ def fading(index: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/traction"][TOUCHED] = 0.6 * arrays["/frames/pressure"][TOUCHED] + 3e-7, 0.0
 
 
+def flowing(index: int, arrays: dict[str, Any]) -> None:
+    """Flow may be nan, and not infinite."""
+    arrays["/frames/flow"] = np.zeros((12, 16, 2))
+    arrays["/frames/flow"][3, 4] = np.nan if index != 3 else np.inf
+
+
+def closing(index: int, arrays: dict[str, Any]) -> None:
+    arrays["/frames/quality/min_gap_mm"] = -1e-4 if index in (2, 5) else 0.01
+
+
 @pytest.mark.parametrize(
     ("edit", "findings"),
     [
         (nearly_flat, ["/frames/rgb is one flat colour (frame 3)"]),
         (fading, []),
+        (flowing, ["/frames/flow is not finite at (3, 3, 4, 0)"]),
+        (closing, ["the gel is inside the indenter: smallest gap -0.0001 mm (frames 2, 5)"]),
         (spoil("pressure", (0, 0), -5e-5), []),  # of a peak of .09: what interpolation may do
     ],
 )
@@ -91,15 +103,6 @@ def test_what_rounding_and_noise_may_do_is_no_finding_and_hides_none(
     tmp_path: Path, edit: Any, findings: list[str]
 ) -> None:
     assert lines(write(tmp_path / "x.h5", edit=edit)) == findings
-
-
-def test_flow_may_be_nan_and_not_infinite(tmp_path: Path) -> None:
-    def edit(index: int, arrays: dict[str, Any]) -> None:
-        flow = np.zeros((12, 16, 2))
-        flow[3, 4] = np.nan if index != 3 else np.inf
-        arrays["/frames/flow"] = flow
-
-    assert lines(write(tmp_path / "x.h5", edit=edit)) == ["/frames/flow is not finite at (3, 3, 4, 0)"]
 
 
 def test_maps_of_the_face_are_nan_where_the_camera_looks_past_the_gel(tmp_path: Path) -> None:
@@ -111,14 +114,6 @@ def test_maps_of_the_face_are_nan_where_the_camera_looks_past_the_gel(tmp_path: 
             arrays[f"/frames/{name}"] = np.where(past.reshape(past.shape + (1,) * len(size)), np.nan, np.ones(size))
 
     assert lines(write(tmp_path / "x.h5", edit=edit, outputs=frozenset({"force", "height"}))) == []
-
-
-def test_a_gap_that_closed(tmp_path: Path) -> None:
-    def edit(index: int, arrays: dict[str, Any]) -> None:
-        arrays["/frames/quality/min_gap_mm"] = -1e-4 if index in (2, 5) else 0.01
-
-    (line,) = lines(write(tmp_path / "x.h5", edit=edit))
-    assert line == "the gel is inside the indenter: smallest gap -0.0001 mm (frames 2, 5)"
 
 
 def repeating(*names: str, at: int):

@@ -111,14 +111,13 @@ def test_friction_of_isaac_lab_is_added_to_normal_forces(tmp_path: Path) -> None
     log = alone(archive(tmp_path / "log.npz", **isaac(wxyz, net_forces_w=FORCE)), layout="isaaclab", quaternion="wxyz")
     assert not log.friction
     mixed = isaac(wxyz, force_matrix_w=FORCE) | {"friction_forces_w": friction[:, None, None]}
-    with pytest.raises(UserError, match="friction_forces_w has another shape than force_matrix_w"):
-        alone(archive(tmp_path / "log.npz", **mixed), layout="isaaclab", quaternion="wxyz")
-
-
-def test_a_force_of_several_bodies_is_refused(tmp_path: Path) -> None:
-    arrays = isaac(wxyz) | {"force_matrix_w": np.zeros((N, 1, 1, 2, 3))}
-    with pytest.raises(UserError, match=r"force_matrix_w has the shape .* record one body and one counterpart"):
-        alone(archive(tmp_path / "log.npz", **arrays), layout="isaaclab", quaternion="wxyz")
+    several = isaac(wxyz) | {"force_matrix_w": np.zeros((N, 1, 1, 2, 3))}
+    for arrays, says in (
+        (mixed, "friction_forces_w has another shape than force_matrix_w"),
+        (several, r"force_matrix_w has the shape .* record one body and one counterpart"),
+    ):
+        with pytest.raises(UserError, match=says):
+            alone(archive(tmp_path / "log.npz", **arrays), layout="isaaclab", quaternion="wxyz")
 
 
 def test_a_group_of_an_hdf5_file(tmp_path: Path) -> None:
