@@ -89,9 +89,7 @@ def test_the_card_and_the_last_line_of_a_run_count_folds(tmp_path: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("depth", "reached", "same"), [(1.2, 6, 5), (1.6, 7, 7)])
-def test_shorter_load_steps_go_where_damping_is_not_needed(
-    tmp_path: Path, depth: float, reached: int, same: int
-) -> None:
+def test_shorter_load_steps_go_where_no_damping_is(tmp_path: Path, depth: float, reached: int, same: int) -> None:
     """A rough ball slid by 4 mm: the last frame at 1.2 mm of depth is a fold; at 1.6 mm, steps are only too long."""
     moves = f"trajectory: [press: {{depth_mm: {depth}, frames: 1}}, slide: {{x_mm: 4, frames: 6}}]\n"
     text = ROUGH.replace("radius_mm: 4.0", "radius_mm: 3.0") + moves

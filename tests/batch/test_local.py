@@ -58,7 +58,7 @@ def test_freed_memory_is_returned_to_the_system():
 
 @pytest.mark.usefixtures("kept_workers")
 @pytest.mark.parametrize(("interval", "returns"), [(0.0, 3), (60.0, 0)])
-def test_memory_is_not_returned_after_each_short_scene(
+def test_memory_is_returned_now_and_then(
     interval: float, returns: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     returned: list[None] = []

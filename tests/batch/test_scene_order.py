@@ -58,9 +58,7 @@ def test_cores_are_counted_where_there_is_no_affinity(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(("cores", "memory", "workers"), [(8, 64.0, 8), (64, 16.0, 16), (2, 0.5, 1)])
-def test_as_many_workers_as_cores_and_memory_allow(
-    cores: int, memory: float, workers: int, monkeypatch: pytest.MonkeyPatch
-):
+def test_workers_by_cores_and_memory(cores: int, memory: float, workers: int, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(worker_process, "cores", lambda: cores)
     monkeypatch.setattr(worker_process, "machine_memory", lambda: memory)
     assert worker_process.usual_workers() == workers

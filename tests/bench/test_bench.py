@@ -182,9 +182,7 @@ def test_a_bench_that_fails_is_reported_and_the_others_go_on(tmp_path: Path, mon
     assert "## Peers" in (tmp_path / "RESULTS.md").read_text()
 
 
-def test_an_unknown_bench_and_a_folder_that_cannot_be_written_are_reported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_bench_and_a_locked_folder_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("mine")
     for name, out, says in (
         ("speed", tmp_path, "speed: must be one of "),

@@ -99,9 +99,7 @@ def closing(index: int, arrays: dict[str, Any]) -> None:
         (spoil("pressure", (0, 0), -5e-5), []),  # of a peak of .09: what interpolation may do
     ],
 )
-def test_what_rounding_and_noise_may_do_is_no_finding_and_hides_none(
-    tmp_path: Path, edit: Any, findings: list[str]
-) -> None:
+def test_what_rounding_and_noise_may_do_hides_no_finding(tmp_path: Path, edit: Any, findings: list[str]) -> None:
     assert lines(write(tmp_path / "x.h5", edit=edit)) == findings
 
 
@@ -142,9 +140,7 @@ ROWS = ("pressure_resultant", "traction_resultant", "force_map_resultant", "unse
         ("pressure_resultant", 0.049, []),
     ],
 )  # fmt: skip
-def test_maps_that_do_not_add_up_to_the_force_are_noted(
-    tmp_path: Path, name: str, value: float, messages: list[str]
-) -> None:
+def test_maps_that_miss_the_force_are_noted(tmp_path: Path, name: str, value: float, messages: list[str]) -> None:
     """And not in frames of light contact, whose forces are a thousandth of the scene's."""
 
     def edit(index: int, arrays: dict[str, Any]) -> None:

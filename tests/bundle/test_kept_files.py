@@ -81,9 +81,7 @@ def test_the_object_of_a_file_that_is_gone_is_drawn(tmp_path: Path, monkeypatch:
     assert np.ptp(drawn.vertices, axis=0) == pytest.approx([9, 9, 9], rel=0.1)
 
 
-def test_what_ships_with_tacgen_is_not_kept_and_of_what_is_too_large_a_note_tells(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_ships_is_not_kept_and_what_is_too_large_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shipped = small_recipe.row(small_recipe.PRESS, "indenter={shape: mesh, file: ring}")
     assert kept_files.of(shipped) == {}
     file = assets.mesh_path("ring")

@@ -51,9 +51,7 @@ def test_invariants(stress: list[float], mises: float, principal: list[float], p
     ("indenter", "least", "most"),
     [("{shape: sphere, radius_mm: 4.0}", 0, 0.05), ("{shape: cone, half_angle_deg: 20, tip_radius_mm: 0.2}", 0.2, 2)],
 )
-def test_forces_by_maps_miss_the_force_as_quality_says(
-    tmp_path: Path, indenter: str, least: float, most: float
-) -> None:
+def test_forces_by_maps_miss_it_as_quality_says(tmp_path: Path, indenter: str, least: float, most: float) -> None:
     """By little where the mesh resolves the indenter; cells of 0.8 mm resolve no tip of 0.2 mm."""
     sets = f"indenter={indenter}", "contact.friction=0.6", "quality={edge_mm: 0.8, dhat_mm: 0.05}"
     moves, asked = "press: {depth_mm: 0.8, frames: 1}, slide: {x_mm: 0.3, frames: 1}", "[traction, force_map, normals]"

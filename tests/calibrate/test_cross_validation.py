@@ -42,9 +42,7 @@ def test_each_of_few_presses_is_left_out_once_and_a_third_of_more_in_turn() -> N
      ([5, 5, 5], [1, 6, 7.5], False),  # the mean gain lies within its standard error
      ([5, 5, 5], [4.6, 4.6, 4.7], False)],  # sure, and too small for a file that is replaced
 )  # fmt: skip
-def test_a_gain_counts_beyond_its_standard_error_and_a_tenth_of_the_error(
-    before: list[float], after: list[float], better: bool
-) -> None:
+def test_a_gain_counts_beyond_its_error_and_a_tenth(before: list[float], after: list[float], better: bool) -> None:
     assert cross_validation.HeldOutPresses((), (), (), np.array([before, after]), None).better == better
 
 

@@ -89,9 +89,7 @@ def test_powers_are_found_by_contacts_that_cover_the_picture(nominal: Path, tmp_
 
 
 @pytest.mark.usefixtures("no_normals")
-def test_light_that_drifts_between_untouched_picture_and_presses_is_left_out_and_told(
-    nominal: Path, tmp_path: Path
-) -> None:
+def test_light_that_drifts_between_pictures_is_left_out_and_told(nominal: Path, tmp_path: Path) -> None:
     unit = sensor(camera=FINE, markers=None)
     folders = [photographed(unit, tmp_path / name) for name in ("steady", "warm")]
     for path in folders[1].glob("*.png"):
@@ -304,9 +302,7 @@ def test_presses_may_give_depth_or_contact_or_both(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("column", "value"), [("depth_mm", 0.4), ("force_n", 0.3)])
-def test_a_brighter_unit_is_found_by_presses_of_known_depth_or_force_on_a_dome(
-    tmp_path: Path, column: str, value: float
-) -> None:
+def test_a_brighter_dome_is_found_by_presses_of_known_depth_or_force(tmp_path: Path, column: str, value: float) -> None:
     unit = sensor(gel=DOME, camera=FINE, markers=None, leds=[{**led, "power": 1.3} for led in PLAIN["leds"]])
     path = written(sensor(gel=DOME, camera=FINE, markers=None), tmp_path / "file.yaml")
     folder = photographed(unit, tmp_path / "unit", ())

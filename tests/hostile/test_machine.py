@@ -121,7 +121,7 @@ def test_a_run_goes_on_when_nobody_reads_what_it_prints(tmp_path: Path, streams:
         *(pytest.param("--version", each, marks=pytest.mark.slow) for each in ("", "1")),
     ],
 )
-def test_results_that_nobody_gets_are_no_success(
+def test_lost_results_are_no_success(
     tmp_path: Path, command: str, unbuffered: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whether Python writes at once or what is left when it ends."""

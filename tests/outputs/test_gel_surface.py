@@ -78,9 +78,7 @@ def test_torque_is_about_the_origin() -> None:
     assert abs(torque[1]) > 0.05
 
 
-def test_the_height_of_a_dent_follows_the_ball(
-    pressed: Run, maps: list[Maps], mini: Sensor, camera: PinholeCamera
-) -> None:
+def test_a_dent_follows_the_ball(pressed: Run, maps: list[Maps], mini: Sensor, camera: PinholeCamera) -> None:
     z = camera_maps.View(Sheet.over(mini.gel, 0.1), pressed.face.moved(pressed.states[PRESSED].x), camera).height()
     assert z.min() == pytest.approx(-0.8, abs=0.03)
     assert 0 < z.max() < 0.1  # the rim bulges

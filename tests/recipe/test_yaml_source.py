@@ -25,9 +25,7 @@ def read(text: str) -> Tree:
     return parse(text, Source("r.yaml", tuple(text.splitlines()) or ("",)))
 
 
-def test_a_file_is_parsed_once_and_each_reader_has_data_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_parsed_once_and_each_reader_has_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("a: {b: 1}")
     load(path).data["a"]["b"] = 2

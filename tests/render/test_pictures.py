@@ -39,9 +39,7 @@ def settings(method: Any, seed: int) -> pictures.PictureSettings:
 
 
 @pytest.mark.parametrize(("method", "shared"), [("transport", True), ("table", True), ("path", False)])
-def test_scenes_share_a_renderer_whose_pictures_do_not_depend_on_their_seed(
-    method: str, shared: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scenes_share_a_renderer_if_no_seed_matters(method: str, shared: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pictures, "Renderer", Told)
     pictures._rendering.cache_clear()
     face = Untouched.of(FILE.gel)

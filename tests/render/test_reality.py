@@ -28,9 +28,7 @@ def shipped(name: str):
     [pytest.param("digit", 0.17, 0.93, marks=needs("digit")),
      pytest.param("gelsight_mini", 0.1, 0.9, marks=needs("gelsight_mini"))],
 )  # fmt: skip
-def test_colours_change_with_the_slope_as_on_the_real_unit_and_a_net_learns_from_them(
-    name, contrast, correlation, monkeypatch
-):
+def test_colours_change_with_the_slope_as_on_the_real_unit_and_teach_a_net(name, contrast, correlation, monkeypatch):
     if name == "gelsight_mini":  # half the dents and steps of a calibration
         monkeypatch.setattr(render_comparison, "TRAINING_DENTS", 96)
         monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 150)
