@@ -30,7 +30,8 @@ from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.scattering import gain as response_of
 from tacgen.recipe import assets, loading
-from tacgen.render import images, mitsuba_variants
+from tacgen.render import images
+from tacgen.render.mitsuba_variants import SCALAR_VARIANT
 from tacgen.sensor.model import Sensor
 
 
@@ -135,7 +136,7 @@ def test_of_a_reflection_of_an_led_the_radiance_alone_is_fitted() -> None:
 def test_a_background_alone_gives_powers_and_dots_are_left_out(tmp_path: Path) -> None:
     path = written(sensor(camera=FINE), tmp_path / "dotted.yaml")
     unit = sensor(leds=[{**led, "power": 0.8} for led in PLAIN["leds"]], camera=FINE)
-    made = images.Renderer(unit, 64, 0, True, mitsuba_variants.SCALAR_VARIANT)
+    made = images.Renderer(unit, 64, 0, True, SCALAR_VARIANT)
     save(made.develop(made.flat()), tmp_path / "background.png")
     found = optics.optics(str(path), tmp_path)
     assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([7.2] * 3, rel=0.04)
@@ -306,7 +307,7 @@ def test_a_brighter_dome_is_found_by_presses_of_known_depth_or_force(tmp_path: P
     unit = sensor(gel=DOME, camera=FINE, markers=None, leds=[{**led, "power": 1.3} for led in PLAIN["leds"]])
     path = written(sensor(gel=DOME, camera=FINE, markers=None), tmp_path / "file.yaml")
     folder = photographed(unit, tmp_path / "unit", ())
-    made, rows = images.Renderer(unit, 16, 0, False, mitsuba_variants.SCALAR_VARIANT), []
+    made, rows = images.Renderer(unit, 16, 0, False, SCALAR_VARIANT), []
     for k, (ball, center, _) in enumerate(PRESSES[:2]):
         known = {"depth": value, "force": None} if column == "depth_mm" else {"depth": None, "force": value}
         press = photos.PhotographedPress("", np.zeros(0), ball, center, None, **known)

@@ -14,7 +14,8 @@ from tacgen.optics.material_flow import Flow, MaterialPoints
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import assets, loading, plan
 from tacgen.recipe.model import Recipe
-from tacgen.render import mitsuba_path, mitsuba_variants
+from tacgen.render import mitsuba_path
+from tacgen.render.mitsuba_variants import SCALAR_VARIANT
 from tacgen.sensor.model import LitSensor, Sensor
 
 Array = np.ndarray
@@ -48,9 +49,7 @@ def sheared(name: str) -> tuple[Sensor, Surface, Surface]:
 def measure(sensor: LitSensor, untouched: Surface, moved: Surface) -> Error:
     """Errors of marker positions and of dense flow; a sensor without markers gets a grid of 1 mm."""
     camera, fine, own = PinholeCamera.from_sensor(sensor), *(Sheet.over(sensor.gel, d) for d in (SPACING, SHEET))
-    before, after = (
-        mitsuba_path.rest(sensor, fine, face, 100, mitsuba_variants.SCALAR_VARIANT) for face in (untouched, moved)
-    )
+    before, after = (mitsuba_path.rest(sensor, fine, face, 100, SCALAR_VARIANT) for face in (untouched, moved))
     if sensor.markers is not None:
         dots = coating.centers(sensor.markers)
     else:
@@ -117,7 +116,7 @@ def test_a_camera_that_is_not_straight_sees_what_path_sees(camera: dict) -> None
     sheet, dent = Sheet.over(model.gel, 0.1), Sheared()
     own, traced = (
         DrawnFace(sheet, dent, PinholeCamera.from_sensor(model)).behind(sheet.rest),
-        mitsuba_path.rest(model, sheet, dent, 64, mitsuba_variants.SCALAR_VARIANT),
+        mitsuba_path.rest(model, sheet, dent, 64, SCALAR_VARIANT),
     )
     off = (own - traced) / model.camera.mm_per_px
     assert np.sqrt(np.nanmean(off**2)) < 0.02

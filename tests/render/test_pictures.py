@@ -128,13 +128,9 @@ def test_a_gel_that_scatters_hides_the_pattern() -> None:
 
 
 def test_maps_in_the_cache_serve_every_pattern_drift_and_quality() -> None:
-    other = sensor(
-        coating={**PLAIN["coating"], "grain": GRAIN}, camera={"jpeg_quality": 50, "drift": DRIFT.model_dump()}
-    )
-    assert traced_maps.key(other, None) == traced_maps.key(sensor(), None)
-    assert traced_maps.key(sensor(coating={**PLAIN["coating"], "roughness": 0.3}), None) != traced_maps.key(
-        sensor(), None
-    )
+    other, key = {"jpeg_quality": 50, "drift": DRIFT.model_dump()}, traced_maps.key
+    assert key(sensor(coating={**PLAIN["coating"], "grain": GRAIN}, camera=other), None) == key(sensor(), None)
+    assert key(sensor(coating={**PLAIN["coating"], "roughness": 0.3}), None) != key(sensor(), None)
 
 
 EYE = {"blur_mm": 0.3, "vignette_mm": 6.0, "crop_mm": [0.5, -0.3], "height_px": 32}

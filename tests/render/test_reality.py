@@ -9,7 +9,8 @@ from scipy import ndimage
 from benchmarks import photographs
 from tacgen.calibrate import normal_net, render_comparison, solved_presses
 from tacgen.recipe import assets, loading
-from tacgen.render import images, mitsuba_variants
+from tacgen.render import images
+from tacgen.render.mitsuba_variants import SCALAR_VARIANT
 
 
 def needs(name: str) -> pytest.MarkDecorator:
@@ -51,7 +52,7 @@ NEAR, FAR = 0.8, 3.2  # standard deviations of the Gaussians that bound the band
 @needs("gelsight_mini")
 @pytest.mark.slow
 def test_background_means_lie_in_the_real_units_spread_and_red_peaks_in_the_middle():
-    renderer = images.Renderer(shipped("gelsight_mini"), 8, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    renderer = images.Renderer(shipped("gelsight_mini"), 8, 0, False, SCALAR_VARIANT)
     untouched = renderer.develop(renderer.flat())
     for mean, (least, most) in zip(untouched.mean(axis=(0, 1)), SPREAD, strict=True):
         assert least - 0.5 <= mean <= most + 0.5
@@ -67,8 +68,8 @@ def test_background_means_lie_in_the_real_units_spread_and_red_peaks_in_the_midd
 @pytest.mark.slow
 def test_dots_are_as_large_and_as_dark_as_on_a_real_gel():
     """Of another unit: 11.3 px across at 0.6 of the coat's counts, pitch 32.3 px, and 0.38 of the coat's in them."""
-    renderer = images.Renderer(shipped("gelsight_mini"), 64, 0, True, mitsuba_variants.SCALAR_VARIANT)
-    bare = images.Renderer(renderer.sensor, 64, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    renderer = images.Renderer(shipped("gelsight_mini"), 64, 0, True, SCALAR_VARIANT)
+    bare = images.Renderer(renderer.sensor, 64, 0, False, SCALAR_VARIANT)
     share = renderer.develop(renderer.flat()).mean(axis=2) / bare.develop(bare.flat()).mean(axis=2)
     y, x = np.mgrid[:240, :320] + 0.5
     cell = (np.abs(x - 160) < 16) & (np.abs(y - 120) < 16)  # around the middle dot
@@ -85,7 +86,7 @@ def test_blue_is_shaded_above_a_dent_as_faintly_as_in_the_photograph():
     unit, sensor = photographs.unit("gelsight_mini"), shipped("gelsight_mini")
     drawn = next(one for one in unit.presses if one.name == "ball_6.310mm_8.png")
     press = replace(drawn, center=(232.1, 93.3), depth=0.84)
-    renderer = images.Renderer(sensor, 64, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    renderer = images.Renderer(sensor, 64, 0, False, SCALAR_VARIANT)
     face = solved_presses.face(sensor, press, {})
     made = renderer.develop(renderer.image(face)).astype(float) - renderer.develop(renderer.flat())
     above = press.center[0], press.center[1] - 1.5 * press.contact
@@ -111,7 +112,7 @@ def test_the_untouched_coat_has_grain_as_photographs_have():
 
     unit = photographs.unit("gelsight_mini")
     far = [one.picture.astype(float) for one in unit.presses if one.center[0] > 250]
-    renderer = images.Renderer(shipped("gelsight_mini"), 64, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    renderer = images.Renderer(shipped("gelsight_mini"), 64, 0, False, SCALAR_VARIANT)
     flat = renderer.flat()
     made = [renderer.develop(flat, np.random.default_rng(seed)).astype(float) for seed in range(4)]
     real = common([unit.untouched.astype(float), *far])
@@ -121,7 +122,7 @@ def test_the_untouched_coat_has_grain_as_photographs_have():
 
 @pytest.fixture(scope="module")
 def renderer():
-    return images.Renderer(shipped("digit"), 64, 0, markers=False, variant=mitsuba_variants.SCALAR_VARIANT)
+    return images.Renderer(shipped("digit"), 64, 0, markers=False, variant=SCALAR_VARIANT)
 
 
 @pytest.fixture(scope="module")
