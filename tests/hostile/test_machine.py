@@ -44,7 +44,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def done(command: str, data: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    recipe = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
+    recipe = ROOT / "recipes" / "quickstart.yaml"
     line = command.format(tacgen=f"{sys.executable} -m tacgen", data=data, out=out, recipe=recipe)
     env = {"OPENBLAS_NUM_THREADS": "1", **os.environ}  # a thread takes memory
     # OpenBLAS raises SIGINT where it lacks memory, and what a shell runs in the background ignores that
@@ -70,7 +70,7 @@ def test_what_cannot_work_is_one_line(tmp_path: Path, data: Path, machine: str) 
     assert "Traceback" not in found.stderr
 
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PROGRAM = """
 import sys
 from tacgen import batch
