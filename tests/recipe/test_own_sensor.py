@@ -121,7 +121,7 @@ GELS = "MPa; that of gels is 0.005 to 5, and moduli are in MPa"
         ("trajectory[0].press.depth_mm=2.8", ""),
         ("vary={samples: 3, over: {contact.friction: {uniform: [50, 60]}}}",
          "contact.friction: a coefficient of 55.7895; that of gels is at most about 3 (and 2 more scenes)"),
-        (f"{KEY}=200", f"200 {GELS}: 0.2 MPa if it is in kPa?"),
+        (f"{KEY}=200", f"gel.layers[0].youngs_modulus_mpa: a Young's modulus of 200 {GELS}: 0.2 MPa if it is in kPa?"),
         (f"{KEY}=410000", f"410000 {GELS}: 0.41 MPa if it is in Pa?"),
         (f"{KEY}=0.0004", f"0.0004 {GELS}"),
     ],
