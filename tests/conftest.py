@@ -2,13 +2,16 @@
 
 import gc
 import os
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from helpers.kept_workers import KeptWorkers
 
 from tacgen.base.array_cache import cache_folder
+from tacgen.batch import local
+from tacgen.batch.worker_process import Worker
+from tacgen.recipe.row import Row
 
 pytest_plugins = ["helpers.processor_time"]
 gc.set_threshold(100_000)  # by the usual 700, a twentieth of the tests' time goes into searching for garbage
@@ -29,6 +32,40 @@ def own_cache(_cache: Path) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TACGEN_CACHE_DIR", str(_cache))
         yield
+
+
+class KeptWorkers:
+    """Idle workers by task, environment and working folder, so that runs of tests share the time of their start."""
+
+    def __init__(self) -> None:
+        self.idle: dict[object, list[Worker]] = defaultdict(list)
+
+    def keep(self, patch: pytest.MonkeyPatch) -> None:
+        """From now on pools leave their idle workers to later ones."""
+        leave = local.Pool.__exit__
+
+        def begun(task: str, first: tuple[str, Row] | None = None) -> Worker:
+            there = self.idle[_place(task)]
+            return there.pop() if there else Worker(task, first)
+
+        def end(pool: local.Pool, *error: object) -> None:
+            idle = [worker for worker in pool.workers if worker.ready and worker.job is None]
+            pool.workers = [worker for worker in pool.workers if worker not in idle]
+            self.idle[_place(pool.task)] += idle
+            leave(pool, *error)
+
+        patch.setattr(local, "Worker", begun)
+        patch.setattr(local.Pool, "__exit__", end)
+
+    def stop(self) -> None:
+        """End them."""
+        for worker in (worker for workers in self.idle.values() for worker in workers):
+            worker.stop()
+
+
+def _place(task: str) -> object:
+    known = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    return task, os.getcwd(), tuple(sorted(known.items()))
 
 
 @pytest.fixture(scope="session")

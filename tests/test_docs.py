@@ -276,10 +276,6 @@ def test_a_format_is_a_module_and_a_line(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "out" / "names.txt").read_text() == "scene-00000"
 
 
-def test_the_readme_is_short() -> None:
-    assert len((ROOT / "README.md").read_text().splitlines()) < 120
-
-
 def run_page(page: Path, folder: Path, quality: str) -> int:
     """Write a page's files and run its commands and its Python in order, in an empty folder; how many ran."""
     count = 0

@@ -13,7 +13,6 @@ from helpers.small_recipe import BALL, HEAD
 
 import tacgen
 from tacgen import mechanics
-from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import FOLDED_NOTE, check
@@ -77,33 +76,20 @@ def test_kept_frames_are_marked_from_the_fold_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("folding")
-def test_the_card_counts_folds(tmp_path: Path) -> None:
+def test_the_card_and_the_last_line_of_a_run_count_folds(tmp_path: Path) -> None:
     (tmp_path / "recipe.yaml").write_text(PRESS)
     by_kind = "in 2 of 3 frames (`/frames/quality/unique`): sphere 2 of 3; press 2 of 3"
     for folds, says in (("keep", by_kind), ("end", "ended before the gel folds: 1 frames are here")):
         out = tmp_path / folds
         pipeline.run(plan.load(tmp_path / "recipe.yaml", (f"folds={folds}",)).rows, out)
         assert says in dataset_card.text(dataset_summary.look(out))
-
-
-@pytest.mark.usefixtures("folding")
-def test_the_last_line_of_a_run_counts_folds(tmp_path: Path) -> None:
-    (tmp_path / "recipe.yaml").write_text(PRESS)
-    pipeline.run(plan.load(tmp_path / "recipe.yaml").rows, tmp_path / "out")
-    said = " ".join(told("run", tmp_path / "recipe.yaml", "-o", tmp_path / "out").split())
+    said = " ".join(told("run", tmp_path / "recipe.yaml", "-o", tmp_path / "keep", "--set", "folds=keep").split())
     assert "1 scene kept, 0 rejected; 2 of 3 frames after a fold of the gel, where forces are not unique" in said
-
-
-def test_folds_is_keep_or_end(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="folds: must be one of keep, end"):
-        made(tmp_path, f"{PRESS}folds: stop\n")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("depth", "reached", "same"), [(1.2, 6, 5), (1.6, 7, 7)])
-def test_shorter_load_steps_go_where_damping_is_not_needed(
-    tmp_path: Path, depth: float, reached: int, same: int
-) -> None:
+def test_shorter_load_steps_go_where_no_damping_is(tmp_path: Path, depth: float, reached: int, same: int) -> None:
     """A rough ball slid by 4 mm: the last frame at 1.2 mm of depth is a fold; at 1.6 mm, steps are only too long."""
     moves = f"trajectory: [press: {{depth_mm: {depth}, frames: 1}}, slide: {{x_mm: 4, frames: 6}}]\n"
     text = ROUGH.replace("radius_mm: 4.0", "radius_mm: 3.0") + moves

@@ -125,8 +125,7 @@ NOT_NUMPY = {
     *(f"sensor.{name}" for name in ("base_model", "imperfections", "layers", "model", "optics_checks")),
     *("sensor.validation_messages", "sensor.yaml_source", "recipe.model", "recipe.assets", "recipe.plan"),
     *("recipe.row", "recipe.sampling", "recipe.sensor_base", "recipe.sensor_checks", "recipe.usual_sizes"),
-    *("recipe.loading", "sensor.optics_checks", "recipe.checks", "recipe.grasp_checks"),
-    *("sensor.validation_messages", "sensor.yaml_source", "recipe.trajectory", "recipe.indenters"),
+    *("recipe.loading", "recipe.checks", "recipe.grasp_checks", "recipe.trajectory", "recipe.indenters"),
     *("recipe.pose_table", "recipe.trajectory_checks", "outputs", "outputs.base"),
     *(f"outputs.{name}" for name in OUTPUTS),
 }
@@ -245,20 +244,9 @@ def test_only_tensor_packages_need_pytorch_and_others_import_them_inside_functio
     assert wrong == []
 
 
-def test_a_file_is_one_idea() -> None:
-    every = [*files().values(), *beside(), *referee()[0]]
-    assert [path.name for path in every if len(text_of(path).splitlines()) > 400] == []
-
-
 def beside() -> list[Path]:
     """The programs beside the package: benches and scripts."""
     return [path for folder in ("benchmarks", "scripts") for path in sorted((ROOT / folder).glob("*.py"))]
-
-
-def test_benches_and_scripts_keep_to_their_lines() -> None:
-    """A bench earns its place by figures of README.md or docs/RESULTS.md, a script by a file that ships; a program that
-    has answered its question goes."""
-    assert sum(len(text_of(path).splitlines()) for path in beside()) <= LINES_BESIDE
 
 
 def referee() -> tuple[list[Path], list[Path]]:
@@ -267,9 +255,13 @@ def referee() -> tuple[list[Path], list[Path]]:
     return sorted(folder.glob("*.py")), sorted((folder / "players").glob("*.py"))
 
 
-def test_the_referee_is_small_and_a_player_smaller() -> None:
+def test_a_file_is_one_idea_and_programs_beside_the_package_keep_to_their_lines() -> None:
+    """A bench earns its place by figures of README.md or docs/RESULTS.md, a script by a file that ships; a program that
+    has answered its question goes."""
     own, players = referee()
-    lines = {path: len(text_of(path).splitlines()) for path in (*own, *players)}
+    lines = {path: len(text_of(path).splitlines()) for path in (*files().values(), *beside(), *own, *players)}
+    assert [path.name for path, count in lines.items() if count > 400 and path not in players] == []
+    assert sum(lines[path] for path in beside()) <= LINES_BESIDE
     assert sum(lines[path] for path in own) <= LINES_OF_REFEREE
     assert {path.name: lines[path] for path in players if lines[path] > LINES_OF_PLAYER} == {}
 
@@ -285,11 +277,8 @@ def loaded_by(*commands: str) -> set[str]:
 HEAVY = {"numpy", "scipy", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
 
 
-def test_help_imports_no_numerics():
+def test_help_and_reading_recipes_import_no_numerics():
     assert loaded_by("--help").isdisjoint({*HEAVY, "pydantic", "ruamel"})
-
-
-def test_reading_recipes_imports_no_numerics():
     # one scene needs a seed, which NumPy draws; nothing heavier
     assert loaded_by("validate quickstart", "list", "schema").isdisjoint(HEAVY - {"numpy"})
 

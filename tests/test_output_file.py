@@ -74,7 +74,7 @@ def test_inputs_and_pipes_are_refused_whatever_is_asked(data: Path, words: str, 
         "init out.yaml",
     ],
 )
-def test_a_file_of_somebody_s_is_replaced_on_request_only(
+def test_files_are_replaced_on_request_only(
     data: Path, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

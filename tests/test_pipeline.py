@@ -124,9 +124,7 @@ print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "images").status)
         ("radiance", {"/frames/radiance"}),
     ],
 )
-def test_an_output_brings_its_datasets_and_no_others(
-    recipe: Path, output: str, datasets: set[str], tmp_path: Path
-) -> None:
+def test_an_output_brings_its_datasets_alone(recipe: Path, output: str, datasets: set[str], tmp_path: Path) -> None:
     shapes = made(recipe, tmp_path, f"outputs=[{output}]", *SMALL_CAMERA).shapes
     always = {p for p in shapes if p.startswith("/frames/quality/")}
     always |= {f"/frames/{name}" for name in ("pose", "segment", "force", "normal_force", "friction_force", "torque")}
@@ -166,7 +164,9 @@ def test_noise_is_the_frames_own_and_can_be_left_out(recipe: Path, tmp_path: Pat
     assert np.corrcoef(grain[0].ravel(), first.ravel())[0, 1] > 0.8  # by seed and frame, not by order of work
 
 
-def test_a_scene_leaves_nothing_behind(recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_leaves_nothing_and_has_the_same_bytes(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Reference cycles would keep its arrays until Python's garbage collector runs, after some scenes of 50 MB each.
     The renderer stays, for the next scene of its sensor."""
     alive: list[weakref.ref[Any]] = []
@@ -187,23 +187,18 @@ def test_a_scene_leaves_nothing_behind(recipe: Path, tmp_path: Path, monkeypatch
     gc.collect()
     gc.disable()
     try:
-        pipeline.run_scene(plan.load(recipe, (EVERYTHING, *SMALL_CAMERA)).rows[0], tmp_path)
+        one = pipeline.run_scene(plan.load(recipe, (EVERYTHING, *SMALL_CAMERA)).rows[0], tmp_path / "one")
         assert len(alive) >= 3
         assert [type(found()) for one in alive if (found := one)() is not None] == []
     finally:
         gc.enable()
+    two = made(recipe, tmp_path / "two", EVERYTHING, *SMALL_CAMERA)
+    assert two.attrs["status"] == "ok"
+    assert two.path.read_bytes() == one.path.read_bytes()
+    assert check(two.path) == []
 
 
-def test_the_same_recipe_and_seed_give_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
-    one, two = (made(recipe, tmp_path / name, EVERYTHING, *SMALL_CAMERA) for name in ("one", "two"))
-    assert one.attrs["status"] == "ok"
-    assert one.path.read_bytes() == two.path.read_bytes()
-    assert check(one.path) == []
-
-
-def test_a_bundle_is_synced_before_and_after_it_has_its_name(
-    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bundle_is_synced_around_its_naming(recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its times are not: without them nothing is lost, and a disk takes milliseconds for each."""
     calls: list[tuple[str, str]] = []
 
@@ -225,9 +220,7 @@ def test_a_bundle_is_synced_before_and_after_it_has_its_name(
     assert ("fsync", "out") not in calls[:-4]
 
 
-def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
-    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_frame_without_solution_is_not_shipped(recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failure = mechanics.NotConverged(mechanics.Failure.singular)
     watched(monkeypatch, lambda now: failure if now.index == 2 else None)
     found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
@@ -258,7 +251,7 @@ def test_a_frame_with_a_label_that_is_not_finite_is_rejected(
 
 
 @pytest.mark.parametrize(("radius", "edge", "told"), [(4.0, 0.8, False), (2.0, 1.2, True)])
-def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
+def test_an_unresolved_indenter_is_reported(
     recipe: Path, tmp_path: Path, radius: float, edge: float, told: bool
 ) -> None:
     """By the number that stands in the bundle."""
@@ -273,9 +266,7 @@ def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
     assert notes == json.loads(found.attrs.get("notes", "[]"))
 
 
-def test_the_stages_of_a_scene_account_for_all_its_time(
-    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stages_of_a_scene_are_all_its_time(recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a clock that goes on by 1 s each time it is read."""
     read = count()
     monkeypatch.setattr(Clock, "now", staticmethod(lambda: float(next(read))))

@@ -39,9 +39,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_what_is_published_is_whole_and_in_the_splits_of_the_data_set(
-    sample: ModuleType, data: Path, tmp_path: Path
-) -> None:
+def test_what_is_published_is_whole_and_in_the_same_splits(sample: ModuleType, data: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "shard-00009.h5").touch()  # of an earlier time
     sample.publish(data, tmp_path / "out")
@@ -64,9 +62,7 @@ def test_what_is_published_is_whole_and_in_the_splits_of_the_data_set(
 
 
 @pytest.mark.slow
-def test_the_linear_baseline_is_better_than_a_guess_and_its_errors_are_of_the_test_data(
-    sample: ModuleType, data: Path
-) -> None:
+def test_the_linear_baseline_beats_a_guess_by_errors_of_the_test_data(sample: ModuleType, data: Path) -> None:
     scores = sample.baseline(data)
     assert set(scores) == {"gelsight_mini", "digit"}
     for sensor, methods in scores.items():
@@ -77,9 +73,7 @@ def test_the_linear_baseline_is_better_than_a_guess_and_its_errors_are_of_the_te
         assert methods["guess"]["force z [N]"] == pytest.approx(np.sqrt(np.mean(off**2)))
 
 
-def test_the_sensors_keep_their_view_in_smaller_pictures_and_the_bundles_do_not_tell_the_folder(
-    sample: ModuleType, tmp_path: Path
-) -> None:
+def test_sensors_keep_their_view_in_smaller_pictures_and_keys_no_folder(sample: ModuleType, tmp_path: Path) -> None:
     plans = [plan.load(sample.small_recipe(tmp_path / name), ["vary.samples=1"]) for name in ("a", "b")]
     rows = plans[0].rows
     assert [row.sensor.name for row in rows] == ["gelsight_mini", "digit", "ninedtact"]

@@ -254,10 +254,16 @@ def test_both_fingers_of_a_grasp_are_in_the_same_part(tmp_path: Path) -> None:
 
 
 def test_frames_after_a_fold_are_counted_where_they_are_left_out(tmp_path: Path) -> None:
-    write(tmp_path / "scene.h5", edit=lambda i, arrays: arrays.update({"/frames/quality/unique": i < FRAMES - 1}))
-    assert "left out" not in repr(TactileDataset(tmp_path, ("force",)))
-    kept = TactileDataset(tmp_path, ("force",), unique=True)
+    """A mean over none would be nan."""
+    for name, last in (("some", FRAMES - 1), ("none", 0)):
+        edit = lambda i, arrays, last=last: arrays.update({"/frames/quality/unique": i < last})  # noqa: E731
+        write(tmp_path / name / "scene.h5", edit=edit)
+    assert "left out" not in repr(TactileDataset(tmp_path / "some", ("force",)))
+    kept = TactileDataset(tmp_path / "some", ("force",), unique=True)
     assert f"{FRAMES - 1} frames of 1 scenes: force; 1 after a fold left out" in repr(kept)
+    assert len(TactileDataset(tmp_path / "none", ("force",))) == FRAMES
+    with pytest.raises(UserError, match="no frame of split 'all' is unique"):
+        TactileDataset(tmp_path / "none", ("force",), unique=True)
 
 
 def test_pairs_are_of_frames_that_are_unique_on_both_sides(tmp_path: Path) -> None:
@@ -267,11 +273,3 @@ def test_pairs_are_of_frames_that_are_unique_on_both_sides(tmp_path: Path) -> No
     pairs = TactilePairs(tmp_path, ("force",), unique=True)
     frames = [(pair["left"]["frame"], pair["right"]["frame"]) for pair in (pairs[i] for i in range(len(pairs)))]
     assert frames == [(i, i) for i in range(FRAMES) if i not in (3, 5)]
-
-
-def test_a_split_without_unique_frames_is_told(tmp_path: Path) -> None:
-    """A mean over it would be nan."""
-    write(tmp_path / "scene.h5", edit=lambda _, arrays: arrays.update({"/frames/quality/unique": False}))
-    assert len(TactileDataset(tmp_path, ("force",))) == FRAMES
-    with pytest.raises(UserError, match="no frame of split 'all' is unique"):
-        TactileDataset(tmp_path, ("force",), unique=True)

@@ -106,19 +106,14 @@ def test_von_mises_of_uniaxial_tension_and_shear(frames: tacgen.Frames, monkeypa
         assert frames.von_mises == pytest.approx(np.full((1, 2), expected))
 
 
-def test_frames_outlive_those_that_made_them_and_leave_no_folder() -> None:
+def test_frames_are_pickled_with_their_file_and_outlive_those_that_made_them_and_leave_no_folder() -> None:
     found = [pressed(movements=tacgen.Press(depth_mm=d, frames=1), outputs="force") for d in (0.2, 0.4)]
     folders = [each.bundle.path.parent for each in found]
     assert found[1].force[0, 2] < found[0].force[0, 2] < 0
     assert folders[0] != folders[1]
+    force, copy = found[0].force, pickle.loads(pickle.dumps(found[0]))
     del found
     assert not any(folder.exists() for folder in folders)
-
-
-def test_frames_are_pickled_with_their_file() -> None:
-    made = pressed(movements=tacgen.Press(depth_mm=0.2, frames=1), outputs="force")
-    force, copy = made.force, pickle.loads(pickle.dumps(made))
-    del made
     assert copy.force.tolist() == force.tolist()
 
 

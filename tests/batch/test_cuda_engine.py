@@ -81,9 +81,7 @@ def test_forces_are_those_of_the_local_engine(on_cpu: None, tmp_path: Path) -> N
     assert force == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
-def test_a_solution_is_labelled_without_another_coarse_solve(
-    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solution_is_labelled_without_a_solve(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (row,) = planned(tmp_path, "press: {force_n: 1, frames: 1}").rows
     (tmp_path / cuda_engine.SOLUTIONS_FOLDER).mkdir()
     with ThreadPoolExecutor(1) as solving:
@@ -95,7 +93,7 @@ def test_a_solution_is_labelled_without_another_coarse_solve(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("outputs", "elements"), [("force, rgb", False), ("force, stress", True)])
-def test_known_frames_are_labelled_without_matrices(
+def test_known_frames_need_no_matrices(
     outputs: str, elements: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Elements are set up only for stress; either way the labels are those of the engine that solved."""
@@ -124,9 +122,7 @@ def test_finished_scenes_are_not_solved_again(on_cpu: None, tmp_path: Path, monk
     assert batch.run(made, tmp_path / "out", engine="cuda")[0].status == "ok"
 
 
-def test_a_gpu_without_memory_leaves_the_scenes_to_the_workers(
-    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_gpu_leaves_scenes_to_the_workers(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from tacgen.tensor_engine import pool
 
     def full(*args: Any, **how: Any) -> Any:
@@ -167,9 +163,7 @@ def test_a_solved_scene_is_written_while_others_are_solved(tmp_path: Path, monke
     assert not (out / cuda_engine.SOLUTIONS_FOLDER).exists()
 
 
-def test_scenes_that_are_put_off_are_solved_together_at_last(
-    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scenes_put_off_are_solved_together_last(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from tacgen.tensor_engine import pool
 
     solve, begun, calls = pool.solved, cuda_engine._begun, list[tuple[list[str], bool]]()
@@ -260,7 +254,7 @@ def test_solutions_that_a_killed_run_has_left_are_not_used(on_cpu: None, tmp_pat
 
 
 @pytest.mark.parametrize(("gpus", "chosen"), [(0, None), (1, "cuda:0"), (2, "cuda:1")])
-def test_processes_draw_on_the_gpus_in_turn(
+def test_processes_share_the_gpus(
     gpus: int, chosen: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planned(tmp_path)
@@ -284,7 +278,7 @@ def test_no_gpu_is_one_line(tmp_path: Path) -> None:
         batch.run(planned(tmp_path), tmp_path / "out", engine="cuda")
 
 
-def test_states_survive_the_file(tmp_path: Path) -> None:
+def test_states_and_why_there_are_none_survive_the_file(tmp_path: Path) -> None:
     scene = scene_of_row.build(planned(tmp_path).rows[0])
     states = list(mechanics.states(scene, Problem.of(scene, mesh.of(scene))))
     states = [*states, replace(states[0], residual=np.float64(np.nan), iterations=np.int64(7), unique=False)]
@@ -297,17 +291,13 @@ def test_states_survive_the_file(tmp_path: Path) -> None:
             value, again = getattr(state, name), getattr(other, name)
             assert type(again) is type(value.item() if isinstance(value, np.generic) else value), name
             np.testing.assert_array_equal(value, again)
-
-
-def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "one.npz"
-    solution_file.write(path, SolvedScene("an engine", why="it is so"))
-    assert solution_file.read(path) == SolvedScene("an engine", [], "it is so")
+    solution_file.write(tmp_path / "one.npz", SolvedScene("an engine", why="it is so"))
+    assert solution_file.read(tmp_path / "one.npz") == SolvedScene("an engine", [], "it is so")
     assert solution_file.read(tmp_path / "none.npz") is None
 
 
 @pytest.mark.slow
-def test_several_processes_solve_side_by_side_and_again_the_same_bytes(
+def test_several_processes_give_the_same_bytes_again(
     on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(planning, "MIN_PART_SCENES", 1)  # scenes of a part

@@ -39,16 +39,12 @@ def test_dask_writes_the_bytes_that_this_process_writes(tmp_path: Path):
     assert len(digests(tmp_path / "here")) == 8
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.mark.slow
 def test_a_worker_of_a_real_scheduler_killed_in_the_middle_loses_nothing(tmp_path: Path):
     out = tmp_path / "out"
-    address = f"tcp://127.0.0.1:{free_port()}"
+    with socket.socket() as probe:  # of a free port
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
     here = {**os.environ, "PYTHONPATH": f"{TESTS}{os.pathsep}{TESTS.parent}"}
     quiet: dict[str, Any] = {"env": here, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     python = [sys.executable, "-m"]

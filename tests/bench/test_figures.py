@@ -52,5 +52,6 @@ def words(page: Path) -> int:
 
 
 def test_the_pages_are_short() -> None:
+    assert len(PAGES[0].read_text().splitlines()) < 120
     assert sum(words(page) for page in PAGES[1:]) <= WORDS
     assert [name for name, most in SHORT.items() if words(ROOT / "docs" / name) > most] == []

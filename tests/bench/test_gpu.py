@@ -53,9 +53,6 @@ def test_board_adds_up_the_gpus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         while (len(board) < 3 or board[-1] == 0) and time.monotonic() < end:
             time.sleep(0.01)
     assert board == [150.5, 200.0, 1.0]
-
-
-def test_no_board(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     with gpu.watched() as board:
         pass

@@ -39,9 +39,8 @@ def test_players_without_packages_say_so(name: str) -> None:
 
 
 def test_a_package_that_is_missing_is_named() -> None:
-    assert Simulator("x", ("numpy", "no_such_package"), (), {}, mujoco_rigid.run).available() == (
-        "not installed: no_such_package"
-    )
+    player = Simulator("x", ("numpy", "no_such_package"), (), {}, mujoco_rigid.run)
+    assert player.available() == "not installed: no_such_package"
 
 
 def test_steps_reach_each_frame_and_rest_in_it() -> None:

@@ -1,6 +1,7 @@
-"""The population is drawn around three units, and its networks are scored on presses that they have not seen."""
+"""The population is drawn around three units, networks are scored on unseen presses, and the Wedge's photographs."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from benchmarks import grain, photographs, real, summary
 from benchmarks.real import Samples
 from tacgen.calibrate import normal_net
+from tacgen.calibrate import photos as reading
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, circle
-from tacgen.recipe import assets, plan
+from tacgen.recipe import assets, loading, plan
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor
 
@@ -160,3 +162,16 @@ def test_grain_tells_reflectance_from_relief() -> None:
     twice = grain.covariance(2 * even[..., None] * np.ones(3) + shape, where, (0.6, 1.2))
     once = grain.covariance(even[..., None] * np.ones(3) + shape, where, (0.6, 1.2))
     assert np.sqrt(twice[0, 0] / once[0, 0]) == pytest.approx(2.0, abs=0.02)
+
+
+@pytest.mark.slow
+def test_its_sensor_file_and_table_are_what_the_calibration_takes(tmp_path: Path) -> None:
+    sensor, _ = loading.read_sensor(real.WEDGE_UNIT)
+    assert (sensor.camera.width_px, sensor.camera.height_px) == real.WEDGE_SIZE
+    if not (photographs.reference() / real.WEDGE / real.FORCES).is_file():
+        pytest.skip(f"no photographs in {photographs.reference()}")
+    real.wedge_laid_out(tmp_path)
+    photos = reading.read_gauged(tmp_path, sensor.camera)
+    assert len(photos.presses) == 43
+    assert photos.recordings == ["grip 0", "grip 1"]
+    assert max(press.force for press in photos.presses) == pytest.approx(25.35)

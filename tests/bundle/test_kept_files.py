@@ -29,15 +29,11 @@ def read_again(recipe: dict[str, Any]) -> Sequence[Row]:
     return plan.load(_tree(recipe, "recipe", {})).rows
 
 
-def path_down(to_mm: float) -> np.ndarray:
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[:, 2, 3] = 0.1, to_mm
-    return poses
-
-
 def test_a_scene_of_a_trimesh_along_an_array_of_poses_is_made_again(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
-    frames = tacgen.simulate("gelsight_mini", ball, path_down(-0.3), outputs="force", quality=COARSE)
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 2, 3] = 0.1, -0.3
+    frames = tacgen.simulate("gelsight_mini", ball, poses, outputs="force", quality=COARSE)
     kept = frames.save(tmp_path / "kept.h5")
     del frames
     frames = tacgen.read(kept)
@@ -85,9 +81,7 @@ def test_the_object_of_a_file_that_is_gone_is_drawn(tmp_path: Path, monkeypatch:
     assert np.ptp(drawn.vertices, axis=0) == pytest.approx([9, 9, 9], rel=0.1)
 
 
-def test_what_ships_with_tacgen_is_not_kept_and_of_what_is_too_large_a_note_tells(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_ships_is_not_kept_and_what_is_too_large_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shipped = small_recipe.row(small_recipe.PRESS, "indenter={shape: mesh, file: ring}")
     assert kept_files.of(shipped) == {}
     file = assets.mesh_path("ring")

@@ -140,9 +140,7 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
         ("depth_mm,force_n\n0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=nan:1"), "must be PATH=LOW:HIGH"),
     ],
 )  # fmt: skip
-def test_an_unusable_table_is_reported_in_one_line(
-    tmp_path: Path, table: str, more: tuple[str, ...], says: str
-) -> None:
+def test_an_unusable_table_is_told_in_one_line(tmp_path: Path, table: str, more: tuple[str, ...], says: str) -> None:
     refused(fitted(tmp_path, table, *more), says)
 
 

@@ -51,9 +51,7 @@ def fit(folder: Path, modulus: float = 0.3, known: Evidence = Evidence(), **chan
 
 
 @pytest.mark.parametrize("command", [c.name or c.callback.__name__ for c in calibrations.registered_commands])
-def test_every_command_refuses_to_write_a_modulus_that_no_gel_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
-) -> None:
+def test_every_command_refuses_an_odd_modulus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
     monkeypatch.setattr(FITS[command], command, lambda *_: fit(tmp_path, 0.0045))
     out, inputs = tmp_path / "mine.yaml", ["--recipe=r", "--data=d"] if command == "material" else ["--images=p"]
     asked = command, "--sensor", "s", *inputs, "-o", out
@@ -110,7 +108,7 @@ def test_a_fitted_file_that_validate_refuses_is_not_plausible(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("force", [[1.0, 0.9, 0.8, 0.05], [0.1, 0.9, 0.05, 1.1]])
-def test_forces_that_no_press_gives_are_fitted_and_not_written(
+def test_forces_of_no_press_are_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: list[float]
 ) -> None:
     monkeypatch.setattr(force_curves, "solved", lambda row, depths: depths**1.5)

@@ -183,7 +183,7 @@ def test_the_command_writes_a_sensor_file_with_what_was_found_and_unseen_forces(
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_contacts_that_cover_the_picture_are_refused(
+def test_contacts_over_the_picture_are_refused(
     unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The slopes inside are the ball's at any depth."""
@@ -226,7 +226,7 @@ def test_the_colours_of_a_unit_are_found_without_forces() -> None:
          .replace("4,", "11,", 1), "has 6 sizes, and 5 are the most"),
     ],
 )  # fmt: skip
-def test_an_unusable_table_is_reported_in_one_line(unit: LitSensor, tmp_path: Path, change: Any, says: str) -> None:
+def test_an_unusable_table_is_told_in_one_line(unit: LitSensor, tmp_path: Path, change: Any, says: str) -> None:
     file, folder = photographed(unit, tmp_path / "images")
     (folder / "presses.csv").write_text(change((folder / "presses.csv").read_text()))
     refused(called(file, folder), says)
@@ -250,7 +250,7 @@ def test_a_thickness_that_the_pictures_leave_open_is_said_and_nothing_written(
 
 
 @pytest.mark.slow
-def test_lights_that_are_no_better_on_unseen_presses_are_not_written(
+def test_lights_no_better_on_unseen_presses_stay(
     unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The colours of these pictures are a polynomial's, which no LED gives."""

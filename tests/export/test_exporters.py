@@ -183,9 +183,7 @@ def test_the_task_tells_the_movements_and_none_of_the_labels(scene: Bundle) -> N
 
 
 @pytest.mark.slow
-def test_lerobot_names_touch_as_planned_there_and_the_forces_of_cells_sum_to_the_force(
-    scene: Bundle, tables: Path
-) -> None:
+def test_lerobot_names_touch_as_planned_there_and_cells_sum_to_the_force(scene: Bundle, tables: Path) -> None:
     parquet = needs("pyarrow.parquet")
     features = json.loads((tables / "meta/info.json").read_text())["features"]
     assert features["observation.tactile.wrench"]["names"][2:5] == ["z_n", "torque_x_n_mm", "torque_y_n_mm"]
@@ -234,9 +232,7 @@ def splits_of(folder: Path) -> dict[str, list[int]]:
 
 
 @pytest.mark.slow
-def test_lerobot_has_the_splits_of_the_data_set_both_fingers_and_the_frames_that_both_have(
-    many: Path, tmp_path: Path
-) -> None:
+def test_lerobot_has_the_splits_both_fingers_and_the_frames_that_both_have(many: Path, tmp_path: Path) -> None:
     parquet = needs("pyarrow.parquet")
     with pytest.warns(LeftOut, match="left out scene-00003-L: not on all of left, right"):
         export.export("lerobot", many, tmp_path / "out")

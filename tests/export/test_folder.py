@@ -54,9 +54,7 @@ def test_nothing_of_an_earlier_and_larger_export_stays(data: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("stranger", ["notes.txt", "train/mine.npy", "empty/", "normalization.npy"])  # the last edited
-def test_a_folder_with_a_strangers_file_is_refused_and_stays_as_it_is(
-    data: Path, tmp_path: Path, stranger: str
-) -> None:
+def test_a_folder_with_a_strangers_file_is_refused_and_stays(data: Path, tmp_path: Path, stranger: str) -> None:
     out = tmp_path / "out"
     export("feats", data / "one", out)
     if stranger.endswith("/"):
@@ -115,9 +113,7 @@ def test_killed_at_any_moment_it_leaves_a_whole_one_or_what_the_next_run_removes
         assert os.listdir(out.parent) == ["out"], moment
 
 
-def test_an_export_that_cannot_get_its_name_leaves_the_old_one(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_export_without_its_name_leaves_the_old(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     export("feats", data / "two", out)
     before, real = content(out), Path.rename

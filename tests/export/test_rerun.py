@@ -59,9 +59,7 @@ def test_times_are_a_timeline_of_their_own(tmp_path: Path) -> None:
 
 
 def test_the_face_without_a_mesh_lies_on_the_rays_of_the_camera_at_the_height_of_each_sample(scene: Bundle) -> None:
-    bare = Bundle(
-        scene.path, scene.attrs, {path: n for path, n in scene.shapes.items() if not path.startswith("/mesh")}
-    )
+    bare = Bundle(scene.path, scene.attrs, {p: n for p, n in scene.shapes.items() if not p.startswith("/mesh")})
     surface = exporter.face(bare)
     assert surface is not None
     points = surface.points(9)

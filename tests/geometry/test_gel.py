@@ -1,7 +1,6 @@
 """A sensor from a triangle mesh of the gel: a knob with an undercut, made here; and DIGIT's own, where it is."""
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks import photographs
 from tacgen.base.errors import UserError
 from tacgen.batch import pipeline
 from tacgen.bundle import bundle
@@ -17,8 +17,7 @@ from tacgen.mechanics import mesh
 from tacgen.recipe import loading, plan, scene_of_row
 
 Array = np.ndarray
-ROOT = Path(__file__).parents[2]
-DIGIT = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference")) / "geometry" / "digit_gel.stl"
+DIGIT = photographs.reference() / "geometry" / "digit_gel.stl"
 SENSOR = """\
 tacgen_sensor: 1
 name: knob
@@ -253,8 +252,7 @@ def test_a_varied_depth_and_a_sensor_override(tmp_path: Path) -> None:
         (("thickness_mm: 1.0", "thickness_mm: 0.5"), "gel.layers: the solid measures 3 mm along z (got 2.5)"),
         (("knob.stl", "nob.stl"), "nob.stl: no such object file"),
         (("  width_mm: 8.0", "  corner_radius_mm: 1\n  width_mm: 8.0"), "gel.corner_radius_mm: cannot be given beside"),
-        (("source: made by a test}", f"sha256: '{'0' * 64}', source: x}}"),
-         "gel.solid.sha256: knob.stl is another file"),
+        (("source: made by a test}", f"sha256: '{'0' * 64}', source: x}}"), "gel.solid.sha256: knob.stl is another"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_sensor_file(change: tuple[str, str], says: str, tmp_path: Path) -> None:

@@ -101,3 +101,9 @@ def endless(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = 
         frame += 1
         on_event({"event": "frame", "scene": row.name, "frame": frame, "frames": row.frames})
         time.sleep(0.05)
+
+
+def noted(row: Row) -> None:
+    """Before its first scene a worker leaves a file named after its process, which holds the row's name, and fails."""
+    Path(os.environ["MADE_READY"], str(os.getpid())).write_text(row.name)
+    raise RuntimeError("a scene would say why")

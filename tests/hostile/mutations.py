@@ -3,12 +3,14 @@
 Damage to bytes is what a disk or a transfer does; the rest is what somebody crafts.
 """
 
+import contextlib
 import copy
 import json
 import os
 import re
 import socket
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -35,48 +37,42 @@ def files(folder: Path, *suffixes: str) -> list[Path]:
 def damaged_bytes(rng: Random, folder: Path) -> str:
     """Flip, cut, zero, insert, exchange."""
     path = rng.choice([path for path in files(folder) if path.stat().st_size])
-    data = bytearray(path.read_bytes())
-    how, at = rng.choice(("flip", "cut", "zero", "insert", "double", "exchange", "junk")), rng.randrange(len(data))
-    if how == "flip":
-        data[at] ^= 1 << rng.randrange(8)
-    elif how == "cut":
-        del data[at:]
-    elif how == "zero":
-        data[at : at + 200] = bytes(len(data[at : at + 200]))
-    elif how == "insert":
-        data[at:at] = rng.randbytes(rng.randrange(1, 50))
-    elif how == "double":
-        data *= 2
-    elif how == "exchange":
-        data = bytearray(rng.choice(files(folder)).read_bytes())
-    else:
-        data = bytearray(rng.randbytes(rng.randrange(2000)))
-    path.write_bytes(data)
+    data = path.read_bytes()
+    changed: dict[str, Callable[[], bytes]] = {
+        "flip": lambda: data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)]) + data[at + 1 :],
+        "cut": lambda: data[:at],
+        "zero": lambda: data[:at] + bytes(len(data[at : at + 200])) + data[at + 200 :],
+        "insert": lambda: data[:at] + rng.randbytes(rng.randrange(1, 50)) + data[at:],
+        "double": lambda: data * 2,
+        "exchange": lambda: rng.choice(files(folder)).read_bytes(),
+        "junk": lambda: rng.randbytes(rng.randrange(2000)),
+    }
+    how, at = rng.choice(list(changed)), rng.randrange(len(data))
+    path.write_bytes(changed[how]())
     return f"{how} of {path.name} at {at}"
 
 
 def special(rng: Random, folder: Path) -> str:
     """A pipe, folder, socket, link or nothing in a file's place, or one that nobody may read."""
-    path, kind = rng.choice(files(folder)), rng.choice(("fifo", "folder", "socket", "loop", "zero", "gone", "sparse"))
+    path = rng.choice(files(folder))
+    made: dict[str, Callable[[], object]] = {
+        "fifo": lambda: os.mkfifo(path),
+        "folder": path.mkdir,
+        "socket": lambda: _socket(path),
+        "loop": lambda: path.symlink_to(path.name),
+        "zero": lambda: path.symlink_to("/dev/zero"),
+        "gone": lambda: None,
+        "sparse": lambda: (path.touch(), os.truncate(path, 2**43)),
+    }
+    kind = rng.choice(list(made))
     path.unlink()
-    if kind == "fifo":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "socket":
-        here = os.getcwd()
-        os.chdir(path.parent)  # a socket's path is short
-        with socket.socket(socket.AF_UNIX) as made:
-            made.bind(path.name)
-        os.chdir(here)
-    elif kind == "loop":
-        path.symlink_to(path.name)
-    elif kind == "zero":
-        path.symlink_to("/dev/zero")
-    elif kind == "sparse":
-        with path.open("wb") as file:
-            file.truncate(2**43)
+    made[kind]()
     return f"{kind} for {path.name}"
+
+
+def _socket(path: Path) -> None:
+    with contextlib.chdir(path.parent), socket.socket(socket.AF_UNIX) as made:  # a socket's path is short
+        made.bind(path.name)
 
 
 def crafted_json(rng: Random, folder: Path) -> str:
@@ -129,31 +125,27 @@ def crafted_hdf5(rng: Random, folder: Path) -> str:
 
 
 def _attribute(rng: Random, group: Any, path: Path) -> str:
-    name = rng.choice(sorted(group.attrs))
-    where = group
+    name, attrs = rng.choice(sorted(group.attrs)), group.attrs
     if rng.random() < 0.2:
-        where = group[rng.choice(datasets(group))]
-        name = rng.choice(sorted(where.attrs))
-    kind = rng.choice(("drop", "value", "bytes", "array", "reference", "empty", "struct", "new"))
-    if kind == "drop":
-        del where.attrs[name]
-    elif kind == "value":
-        value = rng.choice([v for v in VALUES if isinstance(v, str | float | bool)])
-        if isinstance(value, str):
-            value = value.replace("\0", "").encode(errors="surrogatepass")[:60000]
-        where.attrs[name] = value
-    elif kind == "bytes":
-        where.attrs.create(name, b"\xff\xfe\xed", dtype=h5py.string_dtype())
-    elif kind == "array":
-        where.attrs[name] = np.arange(rng.randrange(5))
-    elif kind == "reference":
-        where.attrs[name] = group.ref
-    elif kind == "empty":
-        where.attrs[name] = h5py.Empty("f8")
-    elif kind == "struct":
-        where.attrs[name] = np.zeros(2, [("a", "i4"), ("b", "f8", 3)])
-    else:
-        where.attrs[f"new {rng.randrange(9)}\x1b"] = "x"
+        attrs = group[rng.choice(datasets(group))].attrs
+        name = rng.choice(sorted(attrs))
+
+    def value() -> Any:
+        found = rng.choice([v for v in VALUES if isinstance(v, str | float | bool)])
+        return found.replace("\0", "").encode(errors="surrogatepass")[:60000] if isinstance(found, str) else found
+
+    made: dict[str, Callable[[], object]] = {
+        "drop": lambda: attrs.pop(name),
+        "value": lambda: attrs.update({name: value()}),
+        "bytes": lambda: attrs.create(name, b"\xff\xfe\xed", dtype=h5py.string_dtype()),
+        "array": lambda: attrs.update({name: np.arange(rng.randrange(5))}),
+        "reference": lambda: attrs.update({name: group.ref}),
+        "empty": lambda: attrs.update({name: h5py.Empty("f8")}),
+        "struct": lambda: attrs.update({name: np.zeros(2, [("a", "i4"), ("b", "f8", 3)])}),
+        "new": lambda: attrs.update({f"new {rng.randrange(9)}\x1b": "x"}),
+    }
+    kind = rng.choice(list(made))
+    made[kind]()
     return f"attribute {name} {kind}"
 
 
@@ -168,50 +160,48 @@ def _dataset(rng: Random, group: Any, path: Path) -> str:
     name = rng.choice(datasets(group))
     old = group[name]
     shape, values, attrs = old.shape, old[...], dict(old.attrs)
-    kinds = ("drop", "external link", "soft link", "loop", "dangling", "objects", "huge", "virtual", "storage", "type")
-    kind = rng.choice((*kinds, "scalar", "struct", "group", "new", "long", "flat", "nan", "strings", "huge chunk"))
     where, _, last = name.rpartition("/")
-    parent = group[where]
-    if kind not in ("new", "nan", "loop"):
-        del group[name]
-    if kind == "external link":
-        parent[last] = h5py.ExternalLink("/etc/passwd" if rng.random() < 0.3 else "scene-00001.h5", "/frames/force")
-    elif kind in ("soft link", "dangling"):
-        parent[last] = h5py.SoftLink("/frames/nothing" if kind == "dangling" else f"{group.name}/frames/pose")
-    elif kind == "loop":
-        parent["loop"] = group
-    elif kind == "objects":
-        parent.create_dataset(last, shape[:1], dtype=h5py.vlen_dtype("f8"))
-    elif kind == "huge":
-        parent.create_dataset(last, (10**9, *shape[1:]), values.dtype, chunks=(1, *shape[1:]), compression="gzip")
-    elif kind == "huge chunk":
-        parent.create_dataset(last, shape[:1] + (1,) * (len(shape) - 1), "u1", maxshape=(None,) * len(shape),
-                              chunks=(2**31,) + (1,) * (len(shape) - 1), compression="gzip")  # fmt: skip
-    elif kind == "virtual":
+    parent, ones = group[where], (1,) * (len(shape) - 1)
+    put, new = partial(parent.__setitem__, last), partial(parent.create_dataset, last)
+
+    def virtual() -> None:
         layout = h5py.VirtualLayout(shape, values.dtype)
         layout[...] = h5py.VirtualSource(str(path), f"{group.name}/frames/elsewhere", shape, values.dtype)
         parent.create_virtual_dataset(last, layout)
-    elif kind == "storage":
-        parent.create_dataset(last, shape, values.dtype, external=[("/etc/passwd", 0, h5py.h5f.UNLIMITED)])
-    elif kind == "type":
-        parent[last] = values.astype(rng.choice(("f2", "f4", "i8", "u1", "c16", "S3")))
-    elif kind == "scalar":
-        parent[last] = 1.0
-    elif kind == "struct":
-        parent[last] = np.zeros(shape[:1], [("a", "i4")])
-    elif kind == "group":
-        parent.create_group(last)
-    elif kind == "new":
-        parent.create_dataset(rng.choice(("colour", "..", "a b", "rgb\x1b", "x" * 3000)), data=[1.0])
-    elif kind == "long":
-        parent[last] = np.concatenate([values, values])
-    elif kind == "flat":
-        parent[last] = values.ravel()
-    elif kind == "nan":
+
+    def nan() -> None:
         if values.dtype.kind == "f" and values.size:
             old[(0,) * values.ndim] = np.nan
-    elif kind == "strings":
-        parent.create_dataset(last, data=["\x1b[2J"] * (shape[0] if shape else 1))
+
+    made: dict[str, Callable[[], object]] = {
+        "drop": lambda: None,
+        "external link": lambda: put(
+            h5py.ExternalLink("/etc/passwd" if rng.random() < 0.3 else "scene-00001.h5", "/frames/force")
+        ),
+        "soft link": lambda: put(h5py.SoftLink(f"{group.name}/frames/pose")),
+        "loop": lambda: parent.update({"loop": group}),
+        "dangling": lambda: put(h5py.SoftLink("/frames/nothing")),
+        "objects": lambda: new(shape[:1], dtype=h5py.vlen_dtype("f8")),
+        "huge": lambda: new((10**9, *shape[1:]), values.dtype, chunks=(1, *shape[1:]), compression="gzip"),
+        "virtual": virtual,
+        "storage": lambda: new(shape, values.dtype, external=[("/etc/passwd", 0, h5py.h5f.UNLIMITED)]),
+        "type": lambda: put(values.astype(rng.choice(("f2", "f4", "i8", "u1", "c16", "S3")))),
+        "scalar": lambda: put(1.0),
+        "struct": lambda: put(np.zeros(shape[:1], [("a", "i4")])),
+        "group": lambda: parent.create_group(last),
+        "new": lambda: parent.create_dataset(rng.choice(("colour", "..", "a b", "rgb\x1b", "x" * 3000)), data=[1.0]),
+        "long": lambda: put(np.concatenate([values, values])),
+        "flat": lambda: put(values.ravel()),
+        "nan": nan,
+        "strings": lambda: new(data=["\x1b[2J"] * (shape[0] if shape else 1)),
+        "huge chunk": lambda: new(
+            shape[:1] + ones, "u1", maxshape=(None,) * len(shape), chunks=(2**31, *ones), compression="gzip"
+        ),
+    }
+    kind = rng.choice(list(made))
+    if kind not in ("new", "nan", "loop"):
+        del group[name]
+    made[kind]()
     if kind not in ("external link", "soft link", "dangling") and isinstance(group.get(name), h5py.Dataset):
         group[name].attrs.update(attrs)
     return f"{name} {kind}"

@@ -138,7 +138,7 @@ def test_a_bundle_in_another_s_place_is_found(source: Path, tmp_path: Path) -> N
     assert new == "scene-00002.h5 is a copy of scene-00000.h5: one of them was replaced"
 
 
-def test_names_leave_no_folder_and_reach_no_terminal(source: Path, tmp_path: Path) -> None:
+def test_names_leave_no_folder(source: Path, tmp_path: Path) -> None:
     index = json.loads((source / "packed" / "index.json").read_text())
     for name in ("../loose/scene-00000.h5", "/etc/passwd", "..", "", "a\x1b[2Jb", "\ud800"):
         spoilt = {**index, "shards": [{**index["shards"][0], "file": name}, *index["shards"][1:]]}
@@ -149,9 +149,6 @@ def test_names_leave_no_folder_and_reach_no_terminal(source: Path, tmp_path: Pat
     (tmp_path / "plan.json").write_text(json.dumps(plan))
     with pytest.raises(UserError, match=r"scenes\.0\.scene: Value error, must be the name"):
         survey(tmp_path)
-    with h5py.File(write(tmp_path / "x.h5"), "a") as file:
-        file.attrs["sensor"] = "\x1b[31mred"
-    assert "\x1b" not in str(UserError(f"{read(tmp_path / 'x.h5').attrs['sensor']}: no such sensor"))
 
 
 def test_numbers_that_are_not_finite_or_beyond_use_are_refused(source: Path, tmp_path: Path) -> None:

@@ -138,10 +138,6 @@ def _pipe(path: Path) -> str:
     return str(place)
 
 
-def _loop(file: Any) -> None:
-    file["time"], file["loop"] = h5py.SoftLink("/loop"), h5py.SoftLink("/time")
-
-
 def _virtual(file: Any) -> None:
     layout = h5py.VirtualLayout((N,), "f8")
     layout[...] = h5py.VirtualSource("/etc/passwd", "time", (N,))
@@ -157,7 +153,7 @@ FILES: dict[str, Callable[[Path], Any]] = {
 # in the place of an array
 ARRAYS: dict[str, Callable[[Any], Any]] = {
     "a link to a pipe": lambda f: f.update({"time": h5py.ExternalLink(_pipe(Path(f.filename)), "/time")}),
-    "a loop of links": _loop,
+    "a loop of links": lambda f: f.update({"time": h5py.SoftLink("/loop"), "loop": h5py.SoftLink("/time")}),
     "a link to nothing": lambda f: f.update({"time": h5py.SoftLink("/nothing")}),
     "numbers of another file": lambda f: f.create_dataset("time", (N,), "f8", external=ELSEWHERE),
     "force of another file": lambda f: f.create_dataset("force", (N, 3), "u1", external=ELSEWHERE),

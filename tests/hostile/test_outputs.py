@@ -186,12 +186,14 @@ def test_init_beside_the_original_touches_nothing_of_it() -> None:
         refused("is an input", "init", "--from", start, start.parent / name, "--overwrite")
 
 
-def test_init_does_not_give_two_files_one_name() -> None:
+def test_init_does_not_give_two_files_one_name_and_a_schema_of_somebody_s_stays() -> None:
     start = theirs(Path("a/b/c"))
     refused("choose another name", "init", "--from", start, "x/base.yaml")
     Path("x").mkdir()
     Path("x/base.yaml").write_text("mine")
     refused("x/base.yaml: is there already; --overwrite replaces it", "init", "--from", start, "x/mine.yaml")
+    Path("tacgen.schema.json").write_text('{"$schema": "http://json-schema.org", "title": "mine"}')
+    refused("tacgen.schema.json: is there already", "init", "mine.yaml")
 
 
 def test_init_waits_for_no_pipe() -> None:
@@ -212,11 +214,6 @@ def test_init_writes_files_of_any_name_to_folders_of_any_name(name: str) -> None
     assert command("validate", Path("b", name, f"{name}.yaml"))[0] == 0
     assert command("init", "--sensor", "--from", "digit", Path("b", name, f"s{name}.yaml")) == (0, "")
     assert command("validate", Path("b", name, f"s{name}.yaml"))[0] == 0
-
-
-def test_a_schema_of_somebody_s_stays() -> None:
-    Path("tacgen.schema.json").write_text('{"$schema": "http://json-schema.org", "title": "mine"}')
-    refused("tacgen.schema.json: is there already", "init", "mine.yaml")
 
 
 # --- pages, pictures and exports

@@ -46,6 +46,8 @@ def test_modes_are_those_of_a_scene_made_by_hand(name: str, tmp_path: Path) -> N
     indenter, friction, moves, expected = SCENES[name]
     bundle = made(tmp_path, indenter, friction, moves)
     assert [mode.split()[-1] for mode in modes(bundle)] == expected.split()
+    parts = {"/frames/normal_force", "/frames/friction_force"}
+    assert parts & bundle.shapes.keys() == (parts if friction else set())
 
 
 def test_a_caption_tells_what_is_done_and_what_happens(tmp_path: Path) -> None:
@@ -138,11 +140,6 @@ def test_force_is_its_normal_part_and_friction_which_obeys_coulombs_law(tmp_path
     assert size[-1] > 0.95 * 0.2 * pressed[-1]
     assert tangential[-1] / -force[-1, 2] > 0.21, "or this scene does not plough"
     assert -normal[-1, 0] / force[-1, 2] > 0.01, "which is in the normal part"
-
-
-def test_without_friction_no_parts_of_the_force_are_stored(tmp_path: Path) -> None:
-    bundle = made(tmp_path, BALL, 0.0, ["press: {depth_mm: 0.4, frames: 1}"])
-    assert not {"/frames/normal_force", "/frames/friction_force"} & bundle.shapes.keys()
 
 
 def disc(n: int, radius: float = 2.0) -> tuple[Array, Array, Array]:

@@ -5,7 +5,6 @@ import pytest
 from helpers import small_recipe
 from helpers.tiny import sensor
 
-from tacgen.base.errors import UserError
 from tacgen.batch.pipeline import run
 from tacgen.bundle import bundle
 from tacgen.geometry.analytic_sdf import SphereSdf
@@ -75,15 +74,3 @@ def test_a_recipe_can_ask_for_it(tmp_path):
         flows[method] = bundle.read(done.path)["/frames/marker_flow"][-1]
     off = np.linalg.norm(flows["fem"] - flows["analytic"]) / np.linalg.norm(flows["fem"])
     assert 0.05 < off < 0.8  # alike, and not the same
-
-
-@pytest.mark.parametrize(
-    ("name", "sets", "said"),
-    [
-        ("ninedtact", ["outputs=[rgb]", "render.method=table"], "render.method: cannot be table"),
-        ("digit", ["outputs=[force]", "markers.method=analytic"], "markers.method: cannot be analytic"),
-    ],
-)
-def test_what_a_sensor_cannot_do_is_reported(name, sets, said):
-    with pytest.raises(UserError, match=said):
-        small_recipe.row(small_recipe.PRESS, f"sensor={name}", *sets)

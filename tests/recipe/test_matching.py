@@ -85,7 +85,7 @@ def test_depths_may_be_any_where_a_force_is_asked_for(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("titles", "sets", "said"),
     [
-        (TITLES, [], "match: needs forces, and poses.csv has none in force_x_n, force_y_n, force_z_n: add them"),
+        (TITLES, [], ":9:38: trajectory[0].replay.match: needs forces, and poses.csv has none in force_x_n, force_y_n"),
         (TITLES, ["trajectory[0].replay.match=grip"], "match: cannot be grip without a grasp"),
         (TITLES, ["trajectory[0].replay.match=pose", "trajectory[0].replay.filter_rows=3"],
          "filter_rows has no effect without match"),
@@ -98,13 +98,6 @@ def test_what_is_lacking_is_said_in_one_line(tmp_path: Path, titles: str, sets: 
         load(tmp_path, [f"0,0,0,0,{DOWN}"], *sets, titles=titles)
     assert said in refused.value.lines[0]
     assert sum("trajectory[0]" in line for line in refused.value.lines[:1] + refused.value.lines[3:]) == 1
-
-
-def test_the_line_marks_the_place_in_the_recipe(tmp_path: Path) -> None:
-    with pytest.raises(UserError) as refused:
-        load(tmp_path, [f"0,0,0,0,{DOWN}"], titles=TITLES)
-    _, place, caret = refused.value.lines
-    assert place[caret.index("^") :].startswith("force")
 
 
 GRIPPED = f"{TITLES},grip_n,width_mm,object_x_mm,object_y_mm,object_z_mm,object_qw,object_qx,object_qy,object_qz"

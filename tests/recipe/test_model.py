@@ -34,6 +34,7 @@ trajectory:
   - slide: {x_mm: 1.0, frames: 5}
 outputs: [force]
 """
+BALL = "indenter:\n  shape: sphere\n  radius_mm: 4.0"
 
 
 def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]:
@@ -52,11 +53,9 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("depth_mm: 1.0", "depth_mm: .nan", "8:23: trajectory[0].press.depth_mm: must be a finite number (got nan)"),
         ("depth_mm: 1.0", 'depth_mm: "1"', "8:23: trajectory[0].press.depth_mm: must be a number (got '1')"),
         ("depth_mm: 1.0, ", "", "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got none)"),
-        ("depth_mm: 1.0", "depth_mm: 1.0, force_n: 2",
-         "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got depth_mm, force_n)"),
+        ("depth_mm: 1.0", "depth_mm: 1.0, force_n: 2", "8:12: trajectory[0].press: must hold exactly one aim of"),
         ("slide: {x_mm: 1.0", "tilt: {angle_deg: 90", "9:23: trajectory[1].tilt.angle_deg: must be less than 90"),
-        ("frames: 5}\n  - slide", "frames: 5.5}\n  - slide",
-         "8:36: trajectory[0].press.frames: must be a whole number"),
+        ("frames: 5}\n  - slide", "frames: 5.5}\n  - slide", "8:36: trajectory[0].press.frames: must be a whole"),
         ("press:", "perss:", "8:5: trajectory[0].perss: unknown key, did you mean press?"),
         ("radius_mm: 4.0", "raduis_mm: 4.0", "6:3: indenter.raduis_mm: unknown key, did you mean radius_mm?"),
         ("radius_mm: 4.0", "radius_mm:", "6:3: indenter.radius_mm: must be a number (got nothing)"),
@@ -70,60 +69,47 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("tacgen: 1\n", "", "1:1: tacgen: is missing"),
         ("sensor: gelsight_mini", "sensor: gelsight_mimi", "3:9: sensor: no sensor is called 'gelsight_mimi'; did you"),
         ("sensor: gelsight_mini", "sensor: ./mine.yaml", "3:9: sensor: "),
-        ("outputs:", "quality: darft\noutputs:",
-         "10:10: quality: must be one of draft, default, reference (got 'darft')"),
+        ("outputs:", "quality: darft\noutputs:", "10:10: quality: must be one of draft, default, reference"),
         ("outputs:", "start: {clearance_mm: -1}\noutputs:",
          "10:23: start.clearance_mm: must be at least 0 (got -1): the"),
+        ("outputs:", "folds: stop\noutputs:", "10:8: folds: must be one of keep, end (got 'stop')"),
         # against the sensor
-        ("depth_mm: 1.0", "depth_mm: 4",
-         "8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm"),
-        ("outputs:", "start: {x_mm: 13}\noutputs:",
-         "10:15: start.x_mm: the indenter would start beside the pad of 25.25"),
-        ("outputs:", "start: {x_mm: 12.5, y_mm: 10.3}\noutputs:",
-         "10:8: start: the indenter would start beside the pad"),
+        ("depth_mm: 1.0", "depth_mm: 4", "8:23: trajectory[0].press.depth_mm: must be less than the gel is thick"),
+        ("outputs:", "start: {x_mm: 13}\noutputs:", "10:15: start.x_mm: the indenter would start beside the pad"),
+        ("outputs:", "start: {x_mm: 12.5, y_mm: 10.3}\noutputs:", "10:8: start: the indenter would start beside"),
         ("x_mm: 1.0", "x_mm: 13", "9:12: trajectory[1].slide: would carry the indenter's axis off the pad"),
+        # radii that are possible
+        (BALL, "indenter: {shape: cylinder, radius_mm: 3, fillet_mm: 4}", "4:54: indenter.fillet_mm: must be at most"),
+        (BALL, "indenter: {shape: cylinder, radius_mm: 0.1}", "4:1: indenter.fillet_mm: must be at most radius_mm"),
+        (BALL, "indenter: {shape: cylinder, radius_mm: 3, length_mm: 0.3}",
+         "4:54: indenter.length_mm: must be at least twice fillet_mm, 0.4 (got 0.3)"),
+        (BALL, "indenter: {shape: cylinder, radius_mm: 3, fillet_mm: 0.1, length_mm: 0.3}",
+         "4:70: indenter.length_mm: is too thin for a mesh of edge 0.36 mm"),
+        (BALL, "indenter: {shape: box, size_x_mm: 1, size_y_mm: 3, fillet_mm: 0.6}",
+         "4:63: indenter.fillet_mm: must be at most half the"),
+        (BALL, "indenter: {shape: torus, radius_mm: 2, tube_radius_mm: 2}",
+         "4:56: indenter.tube_radius_mm: must be less than radius_mm, 2"),
+        (BALL, "indenter: {shape: capsule, radius_mm: 1, length_mm: -2}", "4:53: indenter.length_mm: must be greater"),
+        (BALL, "indenter: {shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5}",
+         "4:1: indenter.length_mm: is missing"),
+        (BALL, "indenter: {shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}",
+         "4:77: indenter.length_mm: must be at least twice"),
+        # a batch that makes sense
+        ("outputs:", "vary: {method: sobol, over: {a: {choice: [1]}}}\noutputs:",
+         "10:1: vary.samples: is missing: how many scenes to draw by sobol"),
+        ("outputs:", "vary: {method: grid, samples: 3, over: {a: {choice: [1]}}}\noutputs:",
+         "10:31: vary.samples: must be left out: a grid has as many"),
+        ("outputs:", "vary: {samples: 3, over: {a: {uniform: [2, 1]}}}\noutputs:",
+         "10:40: vary.over.a.uniform: must be [low, high] with low < high"),
+        ("outputs:", "vary: {samples: 3, over: {a: {}}}\noutputs:", "10:30: vary.over.a: must hold exactly one"),
+        ("outputs:", "vary: {method: soboll, samples: 3, over: {a: {choice: [1]}}}\noutputs:",
+         "10:16: vary.method: must be one of grid, random, sobol, lhs"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: str, line: str):
     assert old in GOOD
     (told,) = lines_of(tmp_path, GOOD.replace(old, new, 1))
     assert told.startswith(f"recipe.yaml:{line}")
-
-
-@pytest.mark.parametrize(
-    ("indenter", "at", "says"),
-    [
-        ("{shape: cylinder, radius_mm: 3, fillet_mm: 4}", "4}", "fillet_mm: must be at most radius_mm, 3 (got 4)"),
-        ("{shape: cylinder, radius_mm: 0.1}", "indenter", "fillet_mm: must be at most radius_mm, 0.1 (got 0.2)"),
-        ("{shape: cylinder, radius_mm: 3, length_mm: 0.3}", "0.3",
-         "length_mm: must be at least twice fillet_mm, 0.4 (got 0.3)"),
-        ("{shape: cylinder, radius_mm: 3, fillet_mm: 0.1, length_mm: 0.3}", "0.3",
-         "length_mm: is too thin for a mesh of edge 0.36 mm"),
-        ("{shape: box, size_x_mm: 1, size_y_mm: 3, fillet_mm: 0.6}", "0.6", "fillet_mm: must be at most half the"),
-        ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
-        ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
-        ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5}", "indenter", "length_mm: is missing"),
-        ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}", "0.9",
-         "length_mm: must be at least twice"),
-    ],
-)  # fmt: skip
-def test_radii_must_be_possible(tmp_path: Path, indenter: str, at: str, says: str):
-    line = f"indenter: {indenter}"
-    (told,) = lines_of(tmp_path, GOOD.replace("indenter:\n  shape: sphere\n  radius_mm: 4.0", line))
-    assert told.startswith(f"recipe.yaml:4:{line.index(at) + 1}: indenter.{says}")
-
-
-OUT_OF_RANGE = (
-    *("trajectory[0].press.frames=0", "trajectory[0].press.force_n=0", "quality.spp=0", "indenter.radius_mm=-3"),
-    *("contact.friction=-1", "vary={samples: 0, over: {a: {choice: [1]}}}", "vary={samples: 3, over: {}}"),
-    "vary={samples: 3, over: {a: {loguniform: [0, 1]}}}",
-)
-
-
-@pytest.mark.parametrize("override", OUT_OF_RANGE)
-def test_numbers_out_of_their_range_are_refused(tmp_path: Path, override: str):
-    told = lines_of(tmp_path, GOOD.replace("depth_mm: 1.0, ", "") if "force_n" in override else GOOD, (override,))
-    assert [line.startswith("--set") and " must " in line for line in told] == [True]
 
 
 def test_all_problems_come_at_once_and_in_order(tmp_path: Path):
@@ -141,12 +127,10 @@ def sensor_text() -> str:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("corner_radius_mm: 1.5", "corner_radius_mm: 15",
-         "gel.corner_radius_mm: must be at most half the pad's shorter"),
+        ("corner_radius_mm: 1.5", "corner_radius_mm: 15", "gel.corner_radius_mm: must be at most half the pad"),
         ("mm_per_px: 0.0634", "mm_per_px: 60", "camera.mm_per_px: leaves 0.35 pixels for the gel, 20.75 mm"),
         ("diameter_mm: 0.74", "diameter_mm: 7.4", "markers.diameter_mm: dots of 7.4 mm touch at a pitch of 1.94 mm"),
-        ("columns: 9", "rings: 3",
-         "markers.rings: is a key of layout: hexagonal, and layout is grid here: leave it out"),
+        ("columns: 9", "rings: 3", "markers.rings: is a key of layout: hexagonal, and layout is grid here"),
         ("law: neo_hooke", "c10_mpa: 1", "c10_mpa: is a key of law: mooney_rivlin and yeoh, and law is neo_hooke here"),
         ("youngs_modulus_mpa", "young_modulus_mpa", "unknown key, did you mean youngs_modulus_mpa?"),
         ("law: neo_hooke", "law: neo_hook", "(got 'neo_hook'), did you mean neo_hooke?"),
@@ -182,6 +166,14 @@ def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):
 @pytest.mark.parametrize(
     ("override", "line"),
     [
+        ("trajectory[0].press.frames=0", "must be at least 1 (got 0)"),
+        ("trajectory[0].press={force_n: 0, frames: 1}", "force_n: must be greater than 0 (got 0)"),
+        ("quality.spp=0", "must be at least 1 (got 0)"),
+        ("indenter.radius_mm=-3", "must be greater than 0 (got -3)"),
+        ("contact.friction=-1", "must be at least 0 (got -1)"),
+        ("vary={samples: 0, over: {a: {choice: [1]}}}", "samples: must be at least 1 (got 0)"),
+        ("vary={samples: 3, over: {}}", "over: must hold at least 1 (got 0)"),
+        ("vary={samples: 3, over: {a: {loguniform: [0, 1]}}}", "loguniform[0]: must be greater than 0 (got 0)"),
         ("contact.frction=1", "contact.frction: unknown key, did you mean friction?; there are: friction"),
         ("contact.mu=1", "contact.mu: unknown key, did you mean friction?; there are: friction"),
         ("start.speed=1", "unknown key; there are: x_mm, y_mm, clearance_mm, yaw_deg, tilt_deg, tilt_axis_deg"),
@@ -316,23 +308,6 @@ def test_markers_lie_on_the_gel(tmp_path: Path, change: str):
     assert told.endswith("some of the sensor gelsight_mini would lie beside its gel: fewer, or closer ones")
     (tmp_path / "recipe.yaml").write_text(GOOD)
     assert read(tmp_path / "recipe.yaml", (change,)).sensor.markers, "which nothing asks for"
-
-
-@pytest.mark.parametrize(
-    ("vary", "line"),
-    [
-        ("{method: sobol, over: {a: {choice: [1]}}}", "vary.samples: is missing: how many scenes to draw by sobol"),
-        ("{method: grid, samples: 3, over: {a: {choice: [1]}}}", "vary.samples: must be left out: a grid has as many"),
-        ("{samples: 3, over: {a: {uniform: [2, 1]}}}", "vary.over.a.uniform: must be [low, high] with low < high"),
-        ("{samples: 3, over: {a: {}}}", "vary.over.a: must hold exactly one distribution of uniform, loguniform"),
-        ("{method: soboll, samples: 3, over: {a: {choice: [1]}}}",
-         "vary.method: must be one of grid, random, sobol, lhs"),
-    ],
-)  # fmt: skip
-def test_a_batch_must_make_sense(tmp_path: Path, vary: str, line: str):
-    (told,) = lines_of(tmp_path, f"{GOOD}vary: {vary}\n")
-    assert told.startswith("recipe.yaml:11:")
-    assert line in told
 
 
 # -- generated recipes --

@@ -8,7 +8,7 @@ from tacgen.base.errors import UserError
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.expected_error import Expected
 from tacgen.mechanics.scene import Scene
-from tacgen.recipe import assets, plan, scene_of_row
+from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import QUALITIES
 from tacgen.recipe.scene_of_row import MIN_CHOSEN_EDGE_MM, _range_of
 
@@ -58,11 +58,6 @@ def test_what_is_not_touched_is_as_at_default() -> None:
 def test_what_cannot_be_chosen_is_one_line(sets: tuple[str, ...], line: str) -> None:
     with pytest.raises(UserError, match=line):
         scene_of_row.build(row_of(("outputs=[force]", f"indenter={BALL}", PRESS, *sets)))
-
-
-def test_a_grasp_is_refused() -> None:
-    with pytest.raises(UserError, match="is not known for a grasp"):
-        plan.load(assets.recipe_path("grasp"), ("quality={force_error: 0.02}",))
 
 
 @pytest.mark.slow

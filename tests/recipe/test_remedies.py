@@ -27,7 +27,10 @@ RECIPES = {
     "indenter={shape: mesh, file: gear, size_mm: 1e9}": "is {shape: box, size_x_mm: 37.9, size_y_mm: 31.1}",
     "uncertainty={mesh: true}|dynamics={density_kg_m3: 1000, frame_s: 0.1}": "or grasp, dynamics and viscosity",
 }
-GRASPS = {"grasp.right=digit_pinki": "take another sensor"}
+GRASPS = {
+    "grasp.right=digit_pinki": "take another sensor",
+    "quality={force_error: 0.02}": "is not known for a grasp: give edge_mm",
+}
 SENSORS = {
     "camera.center_mm=[50, 0]": "nearer to 0, 0",
     "camera.tilt_deg=[20, 20]|camera.mm_per_px=0.5": "less tilt, more distance_mm or a smaller picture",

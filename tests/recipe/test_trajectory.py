@@ -157,9 +157,7 @@ def test_what_follows_a_force_goes_on_from_its_depth(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("axis", [0.0, 90.0])
-def test_a_press_after_a_tilt_on_a_dome_counts_from_the_turned_indenters_first_touch(
-    tmp_path: Path, axis: float
-) -> None:
+def test_a_press_after_a_tilt_on_a_dome_counts_from_its_first_touch(tmp_path: Path, axis: float) -> None:
     """Of a box, whose edge leads when it leans: raised by the depth, it touches DIGIT's face at one place."""
     sets = ("sensor=digit", "start.y_mm=3", BOX)
     segments = f"tilt: {{angle_deg: 15, axis_deg: {axis}, frames: 1}}\npress: {{depth_mm: 0.4, frames: 1}}"
@@ -231,9 +229,7 @@ def back(move: tuple[Any, ...]) -> tuple[Any, ...]:
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(SHAPES), st.floats(0, 10), st.floats(-180, 180), st.lists(there, min_size=1, max_size=4))
 @example(BoxSdf(3.0, 3.0, 0.3), 0.0, 0.0, [("tilt", 10.0, 0.0)])
-def test_a_closed_path_of_movements_returns_to_its_pose(
-    shape: Shape, lean: float, yaw: float, moves: list[tuple[Any, ...]]
-) -> None:
+def test_a_closed_path_returns_to_its_pose(shape: Shape, lean: float, yaw: float, moves: list[tuple[Any, ...]]) -> None:
     def contact(pose: np.ndarray) -> float:
         return shape.support(-pose[2, :3])
 

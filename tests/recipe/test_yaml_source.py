@@ -25,9 +25,7 @@ def read(text: str) -> Tree:
     return parse(text, Source("r.yaml", tuple(text.splitlines()) or ("",)))
 
 
-def test_a_file_is_parsed_once_and_each_reader_has_data_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_parsed_once_and_each_reader_has_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("a: {b: 1}")
     load(path).data["a"]["b"] = 2
@@ -73,6 +71,7 @@ def test_a_mark_shows_the_line_and_a_caret_below_the_place():
     assert head == "r.yaml:3:23: no"
     assert line.endswith("- press: {depth_mm: -1, frames: 5}")
     assert line[caret.index("^") :].startswith("-1")
+    assert Mark(Source("--set a=1")).point("no") == "--set a=1: no", "a source without lines is named only"
 
 
 @pytest.mark.parametrize(
@@ -149,16 +148,9 @@ def test_merging_keeps_the_place_of_what_won():
     assert merged.spot(("a", "y")).value.line == 1
     assert ("b", 1) not in merged.spots
     assert base.data["a"]["y"] == 2, "the original was edited"
-
-
-def test_another_distribution_replaces_the_whole_one():
     base = read("vary: {samples: 3, over: {a.b: {uniform: [1, 2]}, c: {choice: [1]}}}")
-    over = read("vary: {over: {a.b: {choice: [5]}}}")
-    assert base.merged(over).data["vary"] == {"samples": 3, "over": {"a.b": {"choice": [5]}, "c": {"choice": [1]}}}
-
-
-def test_a_source_without_lines_is_named_only():
-    assert Mark(Source("--set a=1")).point("no") == "--set a=1: no"
+    merged = base.merged(read("vary: {over: {a.b: {choice: [5]}}}")).data["vary"]  # another distribution, as a whole
+    assert merged == {"samples": 3, "over": {"a.b": {"choice": [5]}, "c": {"choice": [1]}}}
 
 
 def test_values_are_replaced_in_place_and_comments_stay(tmp_path: Path):

@@ -9,8 +9,9 @@ from tacgen.optics import coating, mitsuba_dicts, scattering
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
 from tacgen.recipe import assets, loading
-from tacgen.render import images, mitsuba_path, mitsuba_variants, traced_maps
+from tacgen.render import images, mitsuba_path, traced_maps
 from tacgen.render.mitsuba_path import PathTracer
+from tacgen.render.mitsuba_variants import SCALAR_VARIANT
 from tacgen.sensor.model import Sensor
 
 FACE = Untouched.of(sensor().gel)
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 @pytest.fixture(scope="module")
 def renderer():
-    return images.Renderer(sensor(), spp=6, seed=0, markers=False, variant=mitsuba_variants.SCALAR_VARIANT)
+    return images.Renderer(sensor(), spp=6, seed=0, markers=False, variant=SCALAR_VARIANT)
 
 
 def test_the_camera_sees_the_inner_side_of_the_skin():
@@ -31,7 +32,7 @@ def test_the_camera_sees_the_inner_side_of_the_skin():
 
 @pytest.mark.slow
 def test_transport_agrees_with_volpath_within_its_noise(renderer):
-    tracer = PathTracer(sensor(), renderer.sheet, False, mitsuba_variants.SCALAR_VARIANT)
+    tracer = PathTracer(sensor(), renderer.sheet, False, SCALAR_VARIANT)
     halves = np.array([tracer.radiance(DENT, 192, seed) for seed in (1, 2)])
     truth, image = halves.mean(axis=0), renderer.image(DENT)
     assert image.mean() == pytest.approx(truth.mean(), rel=0.03)
@@ -50,43 +51,41 @@ def test_maps_are_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch):
     monkeypatch.setattr(traced_maps, "PathTracer", None)  # any tracing now would fail
     data = sensor().model_dump()
     data["gel"]["layers"][0]["youngs_modulus_mpa"] = 9.0
-    again = images.Renderer(Sensor.model_validate(data), 6, 5, False, mitsuba_variants.SCALAR_VARIANT)
+    again = images.Renderer(Sensor.model_validate(data), 6, 5, False, SCALAR_VARIANT)
     assert np.array_equal(again.image(DENT), renderer.image(DENT))
     with pytest.raises(TypeError):
-        images.Renderer(sensor(walls={"albedo": 0.3}), 6, 0, False, mitsuba_variants.SCALAR_VARIANT)
+        images.Renderer(sensor(walls={"albedo": 0.3}), 6, 0, False, SCALAR_VARIANT)
 
 
 def test_light_that_varies_alone_is_not_traced_again(monkeypatch):
     """Power and colour of each LED, exposure, stray light, vignette and noise: all of it linear."""
     panel = sensor().leds[0].model_dump()
     left, right = ({**panel, "center_mm": (x, 0, -4.35), "size_mm": (6, 10)} for x in (-3, 3))
-    images.Renderer(sensor(leds=[left, right]), 1, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    images.Renderer(sensor(leds=[left, right]), 1, 0, False, SCALAR_VARIANT)
     monkeypatch.setattr(traced_maps, "PathTracer", None)  # any tracing now would fail
     grain = {"shot": 1e-4, "read": 0.002, "source": "test"}
     other = sensor(
         leds=[{**left, "power": 1.3}, {**right, "radiance": (1, 2, 3), "power": 0.5}],
         camera={"exposure": 0.7, "ambient": 0.01, "vignette_mm": 12.0, "noise": grain},
     )
-    again = images.Renderer(other, 1, 0, False, mitsuba_variants.SCALAR_VARIANT)
-    alone = [images.Renderer(sensor(leds=leds), 1, 0, False, mitsuba_variants.SCALAR_VARIANT).light for leds in
+    again = images.Renderer(other, 1, 0, False, SCALAR_VARIANT)
+    alone = [images.Renderer(sensor(leds=leds), 1, 0, False, SCALAR_VARIANT).light for leds in
              ([{**left, "power": 1.3}, {**right, "power": 0}], [{**left, "power": 0}, {**right, "radiance": (1, 2, 3),
               "power": 0.5}])]  # fmt: skip
     assert again.light.scattered == pytest.approx(alone[0].scattered + alone[1].scattered, rel=1e-9)
     assert alone[0].scattered[:, :10].mean() > 1.2 * alone[0].scattered[:, -10:].mean()
     with pytest.raises(TypeError):
-        images.Renderer(
-            sensor(leds=[left, {**right, "center_mm": (3, 0.1, -4.35)}]), 1, 0, False, mitsuba_variants.SCALAR_VARIANT
-        )
+        images.Renderer(sensor(leds=[left, {**right, "center_mm": (3, 0.1, -4.35)}]), 1, 0, False, SCALAR_VARIANT)
 
 
 @pytest.mark.slow
 def test_leds_that_are_traced_together_are_as_traced_alone(monkeypatch):
     panel = sensor().leds[0].model_dump()
     four = sensor(leds=[{**panel, "center_mm": (x, 0, -4.35), "size_mm": (3, 10)} for x in (-4.5, -1.5, 1.5, 4.5)])
-    together = traced_maps.scattered(four, 3, mitsuba_variants.SCALAR_VARIANT).alone
+    together = traced_maps.scattered(four, 3, SCALAR_VARIANT).alone
     monkeypatch.setattr(traced_maps, "grey", lambda sensor: False)
     monkeypatch.setattr(traced_maps, "SCATTERED_VERSION", -1)  # of another entry in the cache
-    alone = traced_maps.scattered(four, 3, mitsuba_variants.SCALAR_VARIANT).alone
+    alone = traced_maps.scattered(four, 3, SCALAR_VARIANT).alone
     assert together.shape == alone.shape == (4, 32, 40, 3)
     for one, other in zip(together, alone, strict=True):
         assert one.mean() == pytest.approx(other.mean(), rel=0.03)
@@ -108,7 +107,7 @@ def test_the_window_around_a_dent():
 
 def test_a_camera_may_look_past_the_gel():
     wide = sensor(camera={"mm_per_px": 3.0, "vignette_mm": None})
-    made = images.Renderer(wide, 1, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    made = images.Renderer(wide, 1, 0, False, SCALAR_VARIANT)
     image = made.image(DENT)
     assert np.isfinite(image).all()
     assert image[14:18, 18:22].mean() > 10 * image[:4].mean()
@@ -116,21 +115,21 @@ def test_a_camera_may_look_past_the_gel():
 
 def test_a_dark_sensor_is_dark():
     assert (images.Renderer(sensor(leds=[{**sensor().leds[0].model_dump(), "power": 0}]), 1, 0, False,
-                            mitsuba_variants.SCALAR_VARIANT).image(DENT) == 0).all()  # fmt: skip
+                            SCALAR_VARIANT).image(DENT) == 0).all()  # fmt: skip
 
 
 def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(blocked))
-    made = images.Renderer(sensor(), 1, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    made = images.Renderer(sensor(), 1, 0, False, SCALAR_VARIANT)
     assert np.isfinite(made.flat()).all()
 
 
 @pytest.mark.slow
 def test_the_fitted_response_acts_on_thickness_alone(renderer):
     table = {"change_mm": (-2.0, 0.0, 0.5), "gain": ((0.2, 0.3, 0.4), (1, 1, 1), (1.5, 1.5, 1.5)), "source": "test"}
-    with_it = images.Renderer(sensor(thickness_response=None), 6, 0, False, mitsuba_variants.SCALAR_VARIANT)
+    with_it = images.Renderer(sensor(thickness_response=None), 6, 0, False, SCALAR_VARIANT)
     with_it.sensor = with_it.sensor.model_copy(
         update={"thickness_response": Sensor.model_fields["thickness_response"].annotation.__args__[0](**table)}
     )
@@ -175,7 +174,7 @@ def test_light_feels_the_thickness_around():
 
 @pytest.mark.parametrize("albedo", [(0.03, 0.03, 0.03), (0.5, 0.2, 0.1), (0.0, 0.0, 0.0)])
 def test_a_skin_that_ends_the_paths_it_absorbs_reflects_as_much(albedo: tuple[float, ...]) -> None:
-    mi = mitsuba_path.mitsuba(mitsuba_variants.SCALAR_VARIANT)
+    mi = mitsuba_path.mitsuba(SCALAR_VARIANT)
     plain = mitsuba_dicts.diffuse(albedo)
     ending, whole = (mi.load_dict(mitsuba_path.realise(mi, one)) for one in (mitsuba_dicts.absorbing(plain), plain))
     at, context = mi.SurfaceInteraction3f(), mi.BSDFContext()
@@ -225,7 +224,7 @@ def test_light_from_the_air_face_is_that_of_leds_just_above_it() -> None:
     """It was traced so before, with two surfaces where there is one now."""
     light = []
     for z in (-4.3, -4.2999):
-        tracer = PathTracer(panels(z), Sheet.over(sensor().gel, 1.0), False, mitsuba_variants.SCALAR_VARIANT)
+        tracer = PathTracer(panels(z), Sheet.over(sensor().gel, 1.0), False, SCALAR_VARIANT)
         light.append([tracer.radiance(FACE, 144, k).reshape(2, 16, 2, 20, 3).mean((1, 3)) for k in range(4)])
     noise = np.std(light, axis=1, ddof=1).mean() / np.sqrt(2)
     assert np.subtract(*np.mean(light, axis=1)) == pytest.approx(0.0, abs=5 * noise)
@@ -240,7 +239,7 @@ def test_sampling_directions_toward_leds_changes_only_the_noise_of_a_gel_that_sc
     for sampled in (True, False):
         monkeypatch.setattr(mitsuba_dicts, "in_sight", lambda *_, sampled=sampled: sampled)
         assert mitsuba_dicts.interfaces(even)["into_base"]["exterior"]["sample_emitters"] == sampled
-        tracer = PathTracer(even, Sheet.over(even.gel, 1.0), False, mitsuba_variants.SCALAR_VARIANT)
+        tracer = PathTracer(even, Sheet.over(even.gel, 1.0), False, SCALAR_VARIANT)
         light.append([tracer.radiance(FACE, 64, k).mean() for k in range(4)])
     noise = np.std(light, axis=1, ddof=1).max() / np.sqrt(2)
     assert np.subtract(*np.mean(light, axis=1)) == pytest.approx(0.0, abs=5 * noise)
@@ -252,7 +251,7 @@ def test_a_gel_that_scatters_looks_the_same_by_a_third_of_the_nodes_and_without_
     own, fine = mitsuba_path.mesh, Sheet.over(sensor().gel, mitsuba_path.SHEET_SPACING_MM)
 
     def traced(sheet: Sheet) -> np.ndarray:
-        tracer = PathTracer(sensor(), sheet, False, mitsuba_variants.SCALAR_VARIANT)
+        tracer = PathTracer(sensor(), sheet, False, SCALAR_VARIANT)
         face = next(shape for shape in tracer._scene.shapes() if shape.id() == "face")
         assert face.has_vertex_normals() == (sheet == fine)
         return tracer.radiance(DENT, 256, 1).reshape(8, 4, 10, 4, 3).mean((1, 3))  # the same random numbers
@@ -262,7 +261,7 @@ def test_a_gel_that_scatters_looks_the_same_by_a_third_of_the_nodes_and_without_
     exact = traced(fine)
     assert coarse == pytest.approx(exact, rel=0.02)
     assert coarse.mean() == pytest.approx(exact.mean(), rel=1e-3)
-    picture = images.Renderer(sensor(), 144, 0, False, mitsuba_variants.SCALAR_VARIANT, "path").image(DENT)
+    picture = images.Renderer(sensor(), 144, 0, False, SCALAR_VARIANT, "path").image(DENT)
     assert picture.mean() == pytest.approx(exact.mean(), rel=0.02)
     assert len(mitsuba_path.traced_sheet(sensor()).rest) < len(fine.rest) / 8
     clear = loading.read_sensor(assets.sensor_path("digit"))[0]

@@ -1,13 +1,11 @@
 """DIGIT: a round end, a dome, and all that must follow them: mesh, first touch, maps, limits."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from helpers import small_recipe
 from helpers.presses import Run, run
 
+from benchmarks import photographs
 from tacgen.base.errors import UserError
 from tacgen.fem.elements import elements, facet_areas
 from tacgen.fem.mesh_quality import scaled_jacobian
@@ -19,8 +17,7 @@ from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
-ROOT = Path(__file__).parents[2]
-TABLE = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference")) / "geometry"
+TABLE = photographs.reference() / "geometry"
 OFF = ("start={x_mm: 4, y_mm: 0}",)
 FINE = {(): 2.6046, OFF: 2.6799}  # [N] on meshes of 0.2 mm edge (about 18 000 nodes), dhat 0.02 mm
 

@@ -14,8 +14,9 @@ from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_response import encoded
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.render import images, mitsuba_variants
+from tacgen.render import images
 from tacgen.render.mitsuba_path import PathTracer
+from tacgen.render.mitsuba_variants import SCALAR_VARIANT
 
 DENT = BallDent(2.0, 1.0, (0.6, -0.4))
 
@@ -24,11 +25,11 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def drawing(made, spp, markers=False, method="transport"):
-    return images.Renderer(made, spp, 0, markers, mitsuba_variants.SCALAR_VARIANT, method)
+    return images.Renderer(made, spp, 0, markers, SCALAR_VARIANT, method)
 
 
 def paths(made, sheet):
-    return PathTracer(made, sheet, False, mitsuba_variants.SCALAR_VARIANT)
+    return PathTracer(made, sheet, False, SCALAR_VARIANT)
 
 
 @pytest.fixture(scope="module")

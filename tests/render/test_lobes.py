@@ -6,8 +6,9 @@ from helpers.tiny import PLAIN, sensor
 
 from tacgen.optics import mitsuba_dicts
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.render import mitsuba_path, mitsuba_variants, traced_maps
+from tacgen.render import mitsuba_path, traced_maps
 from tacgen.render.mitsuba_path import PathTracer, mitsuba, realise
+from tacgen.render.mitsuba_variants import SCALAR_VARIANT
 
 LIGHT, SIZE = (3.0, 2.0, 1.0), (1.2, 0.4)
 PLACE = {"center_mm": [0.3, -0.2, -0.6], "normal": [0.6, 0.2, -0.5]}
@@ -19,7 +20,7 @@ def lit(lobe, **led):
 
 
 def scene(lobe, **more):
-    mi = mitsuba(mitsuba_variants.SCALAR_VARIANT)
+    mi = mitsuba(SCALAR_VARIANT)
     made = {"type": "scene", **mitsuba_dicts.lights(lit(lobe)), **more}
     return mi, mi.load_dict(realise(mi, made), parallel=False, optimize=False)
 
@@ -74,7 +75,7 @@ def test_sampling_lights_changes_no_picture_but_its_noise(index, monkeypatch):
     light = []
     for sampled in (True, False):
         monkeypatch.setattr(mitsuba_dicts, "in_sight", lambda *_, sampled=sampled: sampled)
-        tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR_VARIANT)
+        tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, SCALAR_VARIANT)
         light.append([tracer.radiance(Untouched(), 48, k).mean((0, 1)) for k in range(3)])
     noise = np.std(light, axis=1).max(0) * np.sqrt(2 / 3)
     assert (np.abs(np.subtract(*np.mean(light, axis=1))) < 5 * noise + 1e-3 * np.mean(light)).all()
@@ -83,7 +84,7 @@ def test_sampling_lights_changes_no_picture_but_its_noise(index, monkeypatch):
 def test_many_paths_are_traced_in_parts_where_all_at_once_would_fill_the_memory(monkeypatch):
     """Compiled variants hold all paths of a pass at once; the scalar one stands for them here."""
     made = sensor()
-    tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR_VARIANT)
+    tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, SCALAR_VARIANT)
     whole, sizes, render = tracer.radiance(Untouched(), 36, 1), [], tracer._mi.render
 
     def counted(scene, spp, seed):
@@ -106,7 +107,5 @@ def test_many_paths_are_traced_in_parts_where_all_at_once_would_fill_the_memory(
 def test_paths_a_pixel_are_a_product_so_that_mitsuba_need_not_warn(spp, paths, capfd):
     assert mitsuba_path.stratified(spp) == paths
     made = sensor()
-    PathTracer(made, Sheet.over(made.gel, 2.0), False, mitsuba_variants.SCALAR_VARIANT).radiance(
-        Untouched(), min(spp, 64), 0
-    )
+    PathTracer(made, Sheet.over(made.gel, 2.0), False, SCALAR_VARIANT).radiance(Untouched(), min(spp, 64), 0)
     assert capfd.readouterr() == ("", "")

@@ -158,7 +158,7 @@ def test_all_frames_are_drawn_at_once_and_are_those_of_the_cpu(
 
 
 @pytest.mark.slow
-def test_many_frames_are_drawn_in_turns(
+def test_frames_are_drawn_in_turns(
     log: Log, solution: SolvedScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = row(tmp_path, "outputs=[rgb, markers]", "render.noise=true")
@@ -191,7 +191,7 @@ def test_what_a_full_device_does_not_draw_the_cpu_draws_and_says_so(
 
 
 @pytest.mark.slow
-def test_a_scene_drawn_at_once_leaves_nothing_behind(
+def test_a_drawn_scene_leaves_nothing(
     log: Log, solution: SolvedScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reference cycles would keep its faces and pictures until Python's garbage collector runs."""

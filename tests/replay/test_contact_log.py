@@ -111,14 +111,13 @@ def test_friction_of_isaac_lab_is_added_to_normal_forces(tmp_path: Path) -> None
     log = alone(archive(tmp_path / "log.npz", **isaac(wxyz, net_forces_w=FORCE)), layout="isaaclab", quaternion="wxyz")
     assert not log.friction
     mixed = isaac(wxyz, force_matrix_w=FORCE) | {"friction_forces_w": friction[:, None, None]}
-    with pytest.raises(UserError, match="friction_forces_w has another shape than force_matrix_w"):
-        alone(archive(tmp_path / "log.npz", **mixed), layout="isaaclab", quaternion="wxyz")
-
-
-def test_a_force_of_several_bodies_is_refused(tmp_path: Path) -> None:
-    arrays = isaac(wxyz) | {"force_matrix_w": np.zeros((N, 1, 1, 2, 3))}
-    with pytest.raises(UserError, match=r"force_matrix_w has the shape .* record one body and one counterpart"):
-        alone(archive(tmp_path / "log.npz", **arrays), layout="isaaclab", quaternion="wxyz")
+    several = isaac(wxyz) | {"force_matrix_w": np.zeros((N, 1, 1, 2, 3))}
+    for arrays, says in (
+        (mixed, "friction_forces_w has another shape than force_matrix_w"),
+        (several, r"force_matrix_w has the shape .* record one body and one counterpart"),
+    ):
+        with pytest.raises(UserError, match=says):
+            alone(archive(tmp_path / "log.npz", **arrays), layout="isaaclab", quaternion="wxyz")
 
 
 def test_a_group_of_an_hdf5_file(tmp_path: Path) -> None:
@@ -183,6 +182,7 @@ def test_a_table_is_the_plain_format(tmp_path: Path) -> None:
         ({"force": np.full((N, 3), np.nan)}, "force must be numbers, and is not in row 0"),
         ({"force": np.full((N, 3), "one")}, "force holds no numbers"),
         ({"quaternion": "zyxw"}, "its quaternion is 'zyxw', and must be one of wxyz, xyzw"),
+        ({"sensor_quaternion": None}, "has sensor_position without sensor_quaternion"),  # not a sensor at rest
         ({"object_position": None}, "has no array object_position and object_quaternion .it has: time"),
     ],
 )
@@ -215,13 +215,6 @@ def test_a_file_of_another_simulator_is_recognised(tmp_path: Path) -> None:
     path = archive(tmp_path / "log.npz", xpos=POSITION, xquat=wxyz(TURN))
     with pytest.raises(UserError, match=r"has no array body_q .it has: .*; its arrays are those of --from mujoco"):
         alone(path, layout="newton")
-
-
-def test_half_a_pose_of_the_sensor_is_none(tmp_path: Path) -> None:
-    """It must not be taken as a sensor at rest."""
-    half = {k: v for k, v in plain(units="m", quaternion="xyzw").items() if k != "sensor_quaternion"}
-    with pytest.raises(UserError, match="has sensor_position without sensor_quaternion"):
-        alone(archive(tmp_path / "log.npz", **half))
 
 
 def test_the_page_names_the_recorder_of_the_example() -> None:

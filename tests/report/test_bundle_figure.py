@@ -28,8 +28,16 @@ def pixels(figure: Any, path: Path) -> np.ndarray:
     return np.asarray(imread(path))[..., :3]
 
 
-def test_the_picture_is_written_and_not_blank(tmp_path: Path) -> None:
-    seen = pixels(drawn(tmp_path / "x.h5"), tmp_path / "x.png")
+def test_a_picture_has_frames_from_first_to_last_with_y_down_and_is_not_blank(tmp_path: Path) -> None:
+    figure = drawn(tmp_path / "x.h5")
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert (len(titles), titles[0], titles[-1]) == (5, "frame 0\npress", "frame 11\ntwist")
+    first = figure.axes[0]
+    assert (first.get_xlim(), first.get_ylim()) == ((0, 64), (48, 0))
+    (camera,) = first.get_images()
+    assert camera.origin == "upper"
+    assert [c.angles for c in first.collections if type(c).__name__ == "Quiver"] == ["xy"]
+    seen = pixels(figure, tmp_path / "x.png")
     assert seen.shape[0] > 800
     assert 1200 < seen.shape[1] < 1400  # at a page's width, some 900 pixels, its text is still read
     assert len(np.unique((seen * 255).astype(int).reshape(-1, 3), axis=0)) > 200
@@ -65,20 +73,6 @@ def test_no_text_lies_over_another(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     boxes = [(text.get_text(), text.get_window_extent()) for text in texts]
     over = [(a, b) for i, (a, one) in enumerate(boxes) for b, other in boxes[:i] if a != b and one.overlaps(other)]
     assert over == []
-
-
-def test_images_and_arrows_keep_y_down(tmp_path: Path) -> None:
-    first = drawn(tmp_path / "x.h5").axes[0]
-    assert first.get_xlim() == (0, 64)
-    assert first.get_ylim() == (48, 0)
-    (camera,) = first.get_images()
-    assert camera.origin == "upper"
-    assert [c.angles for c in first.collections if type(c).__name__ == "Quiver"] == ["xy"]
-
-
-def test_the_frames_are_spread_from_first_to_last(tmp_path: Path) -> None:
-    titles = [axes.get_title() for axes in drawn(tmp_path / "x.h5").axes if axes.get_title()]
-    assert (len(titles), titles[0], titles[-1]) == (5, "frame 0\npress", "frame 11\ntwist")
 
 
 def test_markers_alone_use_the_camera_of_the_sensor(tmp_path: Path) -> None:

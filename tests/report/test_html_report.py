@@ -13,7 +13,6 @@ from helpers.scenes import make_plan
 from helpers.synthetic import attributes, write
 
 from tacgen import batch
-from tacgen.base.errors import UserError
 from tacgen.bundle import dataset, pack, run_status
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.report import dataset_card, dataset_summary, html_report
@@ -211,8 +210,3 @@ def test_commands_print_and_write(folder: Path, tmp_path: Path):
     said = told("pack", folder, "-o", tmp_path / "p", "--size-mb", "0.1")
     assert re.search(r"4 scenes in \d shards?, 48 frames; left out 1 rejected scene$", said.strip())
     assert told("check", tmp_path / "p").endswith("nothing found wrong\n")
-
-
-def test_an_empty_folder_is_one_line(tmp_path: Path):
-    with pytest.raises(UserError, match="no bundles"):
-        dataset_summary.look(tmp_path)

@@ -41,9 +41,7 @@ def sizes(data: Path) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("kind", ["lerobot", "webdataset", "zarr"])
-def test_the_header_tells_licence_size_splits_features_and_where_the_data_are_from(
-    data: Path, tmp_path: Path, kind: str
-) -> None:
+def test_the_header_tells_licence_size_splits_features_and_origin(data: Path, tmp_path: Path, kind: str) -> None:
     needs_package_of(kind)
     head, text = page(kind, data, tmp_path / "out", "--licence", "cc-by-4.0")
     assert (head["license"], head["task_categories"], head["size_categories"]) == ("cc-by-4.0", ["robotics"], ["n<1K"])
@@ -91,9 +89,7 @@ def test_several_data_sets_have_one_page(data: Path, tmp_path: Path) -> None:
     assert "| Scenes | 2 (2 ok) |" in text
 
 
-def test_the_card_of_the_data_set_goes_with_the_export_and_a_strangers_text_does_not(
-    data: Path, tmp_path: Path
-) -> None:
+def test_the_card_of_a_data_set_goes_with_the_export_and_a_strangers_not(data: Path, tmp_path: Path) -> None:
     needs("webdataset")
     export("webdataset", data, tmp_path / "out")
     assert (tmp_path / "out" / "README.md").read_bytes() == (data / "README.md").read_bytes()

@@ -124,12 +124,6 @@ def test_odd_rows_are_told_with_episode_and_row(tmp_path: Path, what: str, said:
     assert len(error.value.lines) == 1
 
 
-def test_metres_that_are_said_to_be_mm_are_refused(tmp_path: Path) -> None:
-    source = open_source(lerobot(tmp_path / "set", [STATE]), objects=[BALL], columns=COLUMNS | {"units": "mm"})
-    with pytest.raises(UserError, match=r"all bodies lie within 0.1 mm: are its lengths metres\? Say units: m"):
-        source.episode(0)
-
-
 def test_a_data_set_that_lacks_rows_or_is_older_is_refused(tmp_path: Path) -> None:
     short = open_source(lerobot(tmp_path / "short", [STATE], lengths=[20]), objects=[BALL], columns=COLUMNS)
     with pytest.raises(UserError, match="episode 0: has 12 rows, and its data set says 20"):
@@ -228,14 +222,6 @@ def test_logs_of_replay_are_episodes_with_forces(tmp_path: Path) -> None:
     assert episode.time[0] == 0.0
     np.testing.assert_allclose(episode.bodies["sensor"][-1], as_pose(hand[-1]), atol=1e-9)
     np.testing.assert_array_equal(episode.forces["sensor", "cup"][3], [0, 0, 2])
-
-
-def test_missing_frames_are_told(tmp_path: Path) -> None:
-    time = np.delete(np.arange(ROWS + 3) / 50, [4, 5, 6])
-    pose = {"object_pose": path_of("cup"), "sensor_pose": path_of("hand")}
-    np.savez(tmp_path / "gap.npz", time=time, quaternion="wxyz", units="m", **pose)
-    with pytest.raises(UserError, match="episode gap: row 4: 3 rows before it are missing, at 50 rows a second"):
-        open_source(tmp_path / "gap.npz", objects=[BALL]).episode(0)
 
 
 def test_something_else_is_refused(tmp_path: Path) -> None:

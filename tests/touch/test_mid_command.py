@@ -164,9 +164,7 @@ def test_what_is_odd_is_told_of_the_episodes_that_are_asked_for(tmp_path: Path, 
     assert "episode open: its gripper never closes, and no --object presses on it: check grip and forces" in line
 
 
-def test_a_package_that_lacks_is_told_before_anything_is_solved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_that_lacks_is_told_before_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     done = touched(tmp_path, ["good"], *HERE)
     assert (done.exit_code, done.output) == (2, "touch into Rerun needs Rerun: pip install 'tacgen[rerun]'\n")

@@ -53,6 +53,9 @@ def test_labels_stand_at_the_rows_of_the_episode(made: Labelled) -> None:
     assert touch.note[8] == "the engine has ball press on hand, but not on its gel"
     assert set(touch.note) - {touch.note[8]} == {""}
     assert [result.frames for result in results] == [scenes.UNTOUCHED_FRAMES, 15]
+    height = prepared.episodes[0].bodies["ball"][:, 2, 3]
+    assert (touch.lifted <= touch.contact).all()
+    assert touch.lifted[5] == (height[5] > height[0] + labels.MIN_LIFTED_MM)
 
 
 def test_pictures_and_markers_are_untouched_in_between(made: Labelled) -> None:
@@ -74,13 +77,6 @@ def test_forces_beside_the_engines(made: Labelled) -> None:
     assert one["engine_n"] == 3
     assert one["ratio"] == pytest.approx(np.median(3 / normal))
     assert "engine / tacgen" in plan_text.engine_lines([one])[1]
-
-
-def test_an_object_is_lifted_where_fingers_bear_it(made: Labelled) -> None:
-    prepared, _, ((touch,), _) = made
-    height = prepared.episodes[0].bodies["ball"][:, 2, 3]
-    assert (touch.lifted <= touch.contact).all()
-    assert touch.lifted[5] == (height[5] > height[0] + labels.MIN_LIFTED_MM)
 
 
 def test_frames_that_are_too_deep_are_said_and_those_before_are_solved(tmp_path: Path) -> None:
@@ -108,15 +104,9 @@ def test_a_scene_that_ends_early_or_fails_is_said(made: Labelled) -> None:
     assert not touch.force[8:].any()
 
 
-def test_a_plan_is_printed_and_a_run_resumes(tmp_path: Path, kept_workers: None) -> None:
+def test_a_run_of_a_part_is_resumed(tmp_path: Path, kept_workers: None) -> None:
     source = Made([episode({"ball": over(GAPS)}, k) for k in range(2)], [ball("ball")])
     prepared = scenes.prepare(source, [FINGER], TouchChoice(sets=COARSE), tmp_path)
-    said = plan_text.summary(prepared, source.fps)
-    assert plan_text.text(said).splitlines() == [
-        "2 episodes, 20 rows (2 s): 30 % of them in contact",
-        "to be solved: 2 intervals, 16 frames; the rest is the untouched sensor",
-        "  ball at left: 2",
-    ]
     part = scenes.shard(prepared.plan, (1, 2))
     assert [row.name for row in part.rows] == ["scene-00001"]
     batch.run(part, tmp_path, shard=(1, 2))

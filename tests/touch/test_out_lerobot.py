@@ -126,9 +126,7 @@ def test_an_episode_without_touch_has_nan_and_says_so(source: RecordedEpisodes, 
     assert stats_of(tmp_path / "out")[f"{PREFIX}force"]["mean"] == pytest.approx(mean, rel=1e-6)
 
 
-def test_a_picture_is_encoded_and_summed_up_once(
-    source: RecordedEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_is_encoded_once(source: RecordedEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made, counted = list[bytes](), list[int]()
     for name, seen in (("encoded", lambda image: made.append(image.tobytes())),
                        ("_image_statistics", lambda them: counted.append(len(them)))):  # fmt: skip
@@ -141,9 +139,7 @@ def test_a_picture_is_encoded_and_summed_up_once(
     assert len(counted) == 2
 
 
-def test_files_are_begun_anew_when_one_is_full(
-    source: RecordedEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_file_begins_another(source: RecordedEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(into_lerobot, "PARQUET_FILE_BYTES", 1000)
     written(source, tmp_path / "out")
     episodes = rows_of(tmp_path / "out", "meta/episodes")
@@ -153,9 +149,7 @@ def test_files_are_begun_anew_when_one_is_full(
         assert set(parquet.read_table(path)["episode_index"].to_pylist()) == {row["episode_index"]}
 
 
-def test_the_same_input_gives_the_same_bytes_and_only_its_like_is_replaced(
-    source: RecordedEpisodes, tmp_path: Path
-) -> None:
+def test_the_same_input_gives_the_same_bytes_which_alone_are_replaced(source: RecordedEpisodes, tmp_path: Path) -> None:
     out = tmp_path / "out"
     written(source, out)
     first = digests(out)

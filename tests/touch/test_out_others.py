@@ -105,11 +105,8 @@ def test_a_film_shows_both_fingers_in_every_row(tmp_path: Path) -> None:
         assert np.median(still[part]) == pytest.approx(7, abs=3)  # the untouched sensor
         assert pressed[part].std() > 30
     assert IMAGE[0] / IMAGE[1] == pytest.approx(0.75)
-
-
-def test_a_film_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"^\.avi: unknown kind of film"):
-        written(film, recorded(tmp_path / "given"), both(1), tmp_path / "film.avi")
+        written(film, source, both(1), tmp_path / "film.avi")
 
 
 def test_the_name_of_the_output_says_what_is_written(tmp_path: Path) -> None:
