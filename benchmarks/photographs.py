@@ -137,4 +137,5 @@ def without(press: PictureOfPress, hidden: Array) -> PictureOfPress:
     """A press without the pixels that are hidden; their colours are filled, so that smoothing does not spread it."""
     kept = ~hidden[press.where]
     change, untouched = (filled(one, hidden) for one in (press.change, press.untouched))
-    return PictureOfPress(change, untouched, press.where & ~hidden, press.slopes[kept], press.flat[kept])
+    where, slopes, flat = press.where & ~hidden, press.slopes[kept], press.flat[kept]
+    return replace(press, change=change, untouched=untouched, where=where, slopes=slopes, flat=flat)

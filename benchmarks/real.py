@@ -9,17 +9,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 
 from benchmarks import grain, photographs
 from benchmarks.photographs import MINIS, RECIPE, SENSORS, Unit, sensor_of
 from benchmarks.results_page import ROOT, Absent, Cell, Level, Result, Say, Table, columns
-from tacgen.calibrate import normal_net, render_comparison, solved_presses, untouched_drift
+from tacgen.calibrate import render_comparison, solved_presses, untouched_drift
 from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.normal_net import NormalNet
-from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, learned
+from tacgen.calibrate.render_comparison import Comparison, PressPixels, learned
 from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import assets, plan
@@ -29,10 +29,10 @@ from tacgen.sensor.model import LitSensor
 Array = np.ndarray
 ABOUT = (
     "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
-    " between the ball's normals and those of a network trained on rendered dents, without the drift of the untouched"
-    " picture that photographs show far from contacts; beside it, on the pictures as they are, on the same presses"
-    " rendered with noise (what a perfect sensor file would reach), of networks trained on the unit's other presses,"
-    " and of the flat face."
+    " between the ball's normals and those of the surface that a network trained on rendered dents finds, without the"
+    " drift of the untouched picture that photographs show far from contacts; beside it, on the pictures as they are,"
+    " on the same presses rendered with noise (what a perfect sensor file would reach), of networks trained on the"
+    " unit's other presses, and of the flat face."
     " Contrast: change of colour per slope of the ball, rendered over real. LEDs were fitted to some of these presses."
 )
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
@@ -86,13 +86,13 @@ def _pictures(units: dict[str, Unit], level: Level, say: Say) -> list[Table]:
         net = compared.net(presses)
         like = compared.likeness(presses, faces, one.untouched, net)
         drifted, real = (
-            [compared.photographed(press, face, one.untouched) for press, face in zip(some, faces, strict=True)]
+            [compared.photographed(*pair, one.untouched).pixels for pair in zip(some, faces, strict=True)]
             for some in (one.presses, presses)
         )
-        as_is = float(np.mean([a.off(net.normals(a.features)) for a in drifted]))
+        as_is = off(net, drifted)
         lost = None
         if level != "smoke":  # networks trained on all other presses
-            lost = float(np.mean([a.off(learned([b for b in real if b is not a]).normals(a.features)) for a in real]))
+            lost = float(np.mean([a.off(learned(b for b in real if b is not a)) for a in real]))
         normals.append([name, len(real), like.flat, like.normals, as_is, like.noisy, lost])
         colours.append([name, *map(float, (*like.contrast, *like.direction, *like.correlation))])
         say(f"{name}: {like}")
@@ -147,35 +147,17 @@ def _depth(unit: Unit, say: Say) -> Table:
     return Table("Depth from grey", heads, [["ninedtact", flat, made, real, profile]], note)
 
 
-class Samples(NamedTuple):
-    """Pixels inside one contact circle, as a network sees them."""
-
-    features: Array  # (n, 5)
-    slopes: Array  # x and y of the unit normals (n, 2)
-
-    @classmethod
-    def of(cls, press: PictureOfPress) -> "Samples":
-        """All pixels of a press."""
-        return cls(press.features, press.slopes)
-
-    @property
-    def steepest(self) -> float:
-        """Largest slope: hardly less than the contact radius over the ball's."""
-        return float(np.linalg.norm(self.slopes, axis=1).max())
-
-
-def off(net: NormalNet, presses: Iterable[Samples]) -> float:
+def off(net: NormalNet, presses: Iterable[PressPixels]) -> float:
     """Mean error of the normals [deg], each press weighing the same."""
-    each = [normal_net.degrees_apart(one.slopes, net.normals(one.features)).mean() for one in presses]
-    return float(np.mean(each))
+    return float(np.mean([one.off(net) for one in presses]))
 
 
-def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
+def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[PressPixels]:
     """Dents of a unit, up to a contact radius over the ball's."""
-    return [Samples.of(one) for one in Comparison(sensor).dents(deepest, count, seed)]
+    return [one.pixels for one in Comparison(sensor).dents(deepest, count, seed)]
 
 
-def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, float]:
+def photographed(name: str, sensor: LitSensor) -> tuple[list[PressPixels], float, float]:
     """The presses of a unit, seen by the camera of a sensor file; the error of the flat face [deg]; and the contact
     radius over the ball's that dents reach which stand for them."""
     unit, compared = photographs.unit(name), Comparison(sensor)
@@ -183,8 +165,8 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, fl
     faces = [solved_presses.face(sensor, press, {}) for press in unit.presses]
     seen = [compared.photographed(*pair, unit.untouched) for pair in zip(unit.presses, faces, strict=True)]
     presses = [photographs.without(*pair) for pair in zip(seen, unit.hidden, strict=True)]
-    flat = float(np.mean([one.off(one.flat) for one in presses]))
-    return [Samples.of(one) for one in presses], flat, compared.deepest(unit.presses)
+    flat = float(np.mean([one.steep for one in presses]))
+    return [one.pixels for one in presses], flat, compared.deepest(unit.presses)
 
 
 def undotted(name: str) -> list[list[Cell]]:
@@ -195,11 +177,11 @@ def undotted(name: str) -> list[list[Cell]]:
     return grain.rows(name, unit, faces, Comparison(sensor))
 
 
-def left_out(presses: Sequence[Samples]) -> float:
+def left_out(presses: Sequence[PressPixels]) -> float:
     """Error of networks trained on a unit's own photographs, each part of them left out once [deg]."""
     parts = [presses[k::PARTS] for k in range(PARTS)]
-    nets = [NormalNet.trained([one for j, part in enumerate(parts) if j != k for one in part]) for k in range(PARTS)]
-    each = [off(net, [one]) for net, part in zip(nets, parts, strict=True) for one in part]
+    nets = [learned([one for j, part in enumerate(parts) if j != k for one in part]) for k in range(PARTS)]
+    each = [one.off(net) for net, part in zip(nets, parts, strict=True) for one in part]
     return float(np.mean(each))
 
 
@@ -214,7 +196,7 @@ def population(say: Say) -> Table:
         presses, flat, deepest = real[name]
         own = drawn(sensor_of(file), render_comparison.TRAINING_DENTS, 0, deepest)
         seen = [(unit, one) for unit, made in dents for one in made if one.steepest <= deepest]
-        nets = [NormalNet.trained(dents) for dents in ([one for unit, one in seen if unit != file], own)]
+        nets = [learned(dents) for dents in ([one for unit, one in seen if unit != file], own)]
         cells: list[Cell] = [name, len(presses), flat, *(off(net, presses) for net in nets), left_out(presses)]
         found.append(cells)
         say(f"{name}: {', '.join(f'{cell:.1f}' for cell in cells[2:] if isinstance(cell, float))}")

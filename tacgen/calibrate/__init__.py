@@ -32,5 +32,6 @@ Checks
     cross_validation        scores on presses that a fit has not seen
     render_comparison       rendered against photographed presses: contrast, error of normals
     normal_net              network from colours to normals, for that error
+    integrable_normals      normals of one surface, from those that the network finds pixel by pixel
     sensor_fit              plausibility of a fit; the only place that writes sensor files
 """

@@ -3,11 +3,11 @@ of normals in photographs by a network that was trained on rendered pictures (ne
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tacgen.calibrate import normal_net
+from tacgen.calibrate import integrable_normals, normal_net
 from tacgen.calibrate.normal_net import NormalNet
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.calibrate.solved_presses import mean_curvature
@@ -29,6 +29,25 @@ LIKENESS_SPP = 16  # samples a pixel
 EVEN_LEVEL_COUNTS = 100.0  # about that of untouched pictures [counts]
 
 
+class PressPixels(NamedTuple):
+    """Pixels inside one contact circle, as a network sees them."""
+
+    features: Array  # (n, 5), see normal_net.features
+    slopes: Array  # x and y of the ball's unit normals (n, 2)
+    where: Array  # the pixels (H, W) bool
+    aspect: float = 1.0  # height of a pixel over its width
+
+    @property
+    def steepest(self) -> float:
+        """Largest slope: hardly less than the contact radius over the ball's."""
+        return float(np.linalg.norm(self.slopes, axis=1).max())
+
+    def off(self, net: NormalNet) -> float:
+        """Mean angle [deg] between the ball's normals and those of the surface that a network finds."""
+        found = integrable_normals.integrable(net.normals(self.features), self.where, self.aspect)
+        return float(normal_net.degrees_apart(self.slopes, found).mean())
+
+
 @dataclass(frozen=True)
 class PictureOfPress:
     """One press in a picture."""
@@ -38,15 +57,18 @@ class PictureOfPress:
     where: Array  # (H, W) bool: inside the contact circle
     slopes: Array  # x and y of the ball's unit normals there, (n, 2)
     flat: Array  # the same of the untouched face, (n, 2)
+    aspect: float = 1.0  # height of a pixel over its width
 
     @property
-    def features(self) -> Array:
-        """Inputs of the network inside the contact circle (n, 5)."""
-        return normal_net.features(self.change, self.untouched, self.where)
+    def pixels(self) -> PressPixels:
+        """All pixels inside the contact circle."""
+        inputs = normal_net.features(self.change, self.untouched, self.where)
+        return PressPixels(inputs, self.slopes, self.where, self.aspect)
 
-    def off(self, slopes: Array) -> float:
-        """Mean angle [deg] between the ball's normals and others (n, 2)."""
-        return float(normal_net.degrees_apart(self.slopes, slopes).mean())
+    @property
+    def steep(self) -> float:
+        """Mean angle [deg] between the ball's normals and those of the untouched face."""
+        return float(normal_net.degrees_apart(self.slopes, self.flat).mean())
 
     def per_slope(self) -> Array:
         """Change per slope [counts] along x and y (3, 2) inside the contact circle, by least squares."""
@@ -141,7 +163,7 @@ class Comparison:
 
     def net(self, presses: Sequence[PhotographedPress]) -> NormalNet:
         """A network trained on rendered dents with the camera's noise, at least as deep as presses."""
-        return learned(self.dents(self.deepest(presses), TRAINING_DENTS))
+        return learned(dent.pixels for dent in self.dents(self.deepest(presses), TRAINING_DENTS))
 
     def deepest(self, presses: Sequence[PhotographedPress]) -> float:
         """Contact radius over the ball's that dents reach which stand for presses."""
@@ -171,13 +193,13 @@ class Comparison:
         if net is None:
             level = np.full(untouched.shape, EVEN_LEVEL_COUNTS)
             dents = self.dents(self.deepest(presses), TRAINING_DENTS)
-            net = learned(replace(one, untouched=level) for one in dents)
+            net = learned(replace(one, untouched=level).pixels for one in dents)
             real, noisy = ([replace(one, untouched=level) for one in part] for part in (real, noisy))
-        off, off_noisy = (np.array([a.off(net.normals(a.features)) for a in part]) for part in (real, noisy))
+        off, off_noisy = (np.array([one.pixels.off(net) for one in part]) for part in (real, noisy))
         return Likeness(
             _median(size[:, 1] / np.where(seen, size[:, 0], 1.0), seen), _median(turn, seen),
             np.median(alike, axis=0), float(off.mean()), float(off_noisy.mean()),
-            float(np.mean([one.off(one.flat) for one in real])), off,
+            float(np.mean([one.steep for one in real])), off,
         )  # fmt: skip
 
     def dents(self, deepest: float, count: int, seed: int = 0) -> Iterator[PictureOfPress]:
@@ -195,17 +217,18 @@ class Comparison:
     def _seen(
         self, picture: Array, untouched: Array, face: Surface, center: tuple[float, float], contact: float
     ) -> PictureOfPress:
-        slopes = self._slopes(face)
-        inside = circle(untouched.shape[:2], center, SLOPE_CONTACT_SHARE * contact, self.sensor.camera.aspect)
+        slopes, aspect = self._slopes(face), self.sensor.camera.aspect
+        inside = circle(untouched.shape[:2], center, SLOPE_CONTACT_SHARE * contact, aspect)
         where = inside & np.isfinite(slopes + self._level).all(axis=2)
-        return PictureOfPress(picture.astype(float) - untouched, untouched, where, slopes[where], self._level[where])
+        change = picture.astype(float) - untouched
+        return PictureOfPress(change, untouched, where, slopes[where], self._level[where], aspect)
 
     def _slopes(self, face: Surface) -> Array:
         """Slopes of the face behind each pixel: x and y of its unit normals (H, W, 2)."""
         return self._view.look(face).normal[:, :2].reshape(*self._view.shape, 2)
 
 
-def learned(seen: Iterable[PictureOfPress]) -> NormalNet:
+def learned(seen: Iterable[PressPixels]) -> NormalNet:
     """A network trained inside the contact circles of presses."""
     return NormalNet.trained([(one.features, one.slopes) for one in seen])
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks import grain, photographs, real, summary
-from benchmarks.real import Samples
 from tacgen.calibrate import normal_net
 from tacgen.calibrate import photos as reading
 from tacgen.calibrate.normal_net import NormalNet
-from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, circle
+from tacgen.calibrate.render_comparison import Comparison, PictureOfPress, PressPixels, circle, learned
 from tacgen.recipe import assets, loading, plan
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor
@@ -20,13 +19,13 @@ from tacgen.sensor.model import LitSensor
 Array = np.ndarray
 
 
-def pressed(seed: int, gain: float = 1.0) -> Samples:
-    """Pixels whose change of colour is proportional to the slope."""
-    random = np.random.default_rng(seed)
-    slopes = random.uniform(-0.5, 0.5, (400, 2))
+def pressed(seed: int, gain: float = 1.0) -> PressPixels:
+    """Pixels of a ball, in a square, whose change of colour is proportional to the slope."""
+    random, along = np.random.default_rng(seed), np.linspace(-0.48, 0.48, 20)
+    slopes = np.stack(np.meshgrid(along, along), axis=-1).reshape(400, 2)
     change = gain * np.column_stack([slopes, slopes.sum(axis=1)])
     features = np.column_stack([change, random.uniform(-1, 1, (400, 2))])
-    return Samples(features, slopes)
+    return PressPixels(features, slopes, np.ones((20, 20), bool))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +42,7 @@ def one_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_network_learns_one_unit_and_fails_on_one_of_another_contrast() -> None:
-    net = NormalNet.trained([pressed(k) for k in range(192)])
+    net = learned([pressed(k) for k in range(192)])
     assert real.off(net, [pressed(999)]) < 1.5
     assert real.off(net, [pressed(999, gain=2.0)]) > 8
 
@@ -74,26 +73,24 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     """The last of three units has another contrast: only networks that have seen its file suit it."""
     names = list(real.FILES)
 
-    def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
+    def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[PressPixels]:
         """Dents steeper than the presses of two units are unlike those."""
         gain = 3.0 if sensor.name == real.FILES[names[2]] else 1.0
         made = [pressed(seed + k, gain) for k in range(count)]
-        steep = Samples(pressed(seed, -1.0).features, 1.2 * pressed(seed).slopes)
+        steep = pressed(seed, -1.0)._replace(slopes=1.2 * pressed(seed).slopes)
         return [*made, steep] if deepest > 0.8 and gain == 1.0 else made
 
-    def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, float]:
+    def photographed(name: str, sensor: LitSensor) -> tuple[list[PressPixels], float, float]:
         last = name == names[2]
         return [pressed(99 + k, 3.0 if last else 1.0) for k in range(60)], 20.0, 0.9 if last else 0.75
 
     steepest = []
 
-    class Net(NormalNet):
-        @classmethod
-        def trained(cls, presses: Sequence[Samples]) -> NormalNet:
-            steepest.append(max(one.steepest for one in presses))
-            return super().trained(presses)
+    def trained(presses: Sequence[PressPixels]) -> NormalNet:
+        steepest.append(max(one.steepest for one in presses))
+        return learned(presses)
 
-    monkeypatch.setattr(real, "NormalNet", Net)
+    monkeypatch.setattr(real, "learned", trained)
     monkeypatch.setattr(real, "drawn", drawn)
     monkeypatch.setattr(real, "photographed", photographed)
     monkeypatch.setattr(real.plan, "load", lambda path: SimpleNamespace(rows=rows))
@@ -117,7 +114,7 @@ def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
     one, again, other = (next(compared.dents(0.7, 1, seed)) for seed in (0, 0, 1))
     assert np.array_equal(one.change, again.change)
     assert one.slopes.shape != other.slopes.shape
-    made = Samples.of(one)
+    made = one.pixels
     assert made.slopes.shape == (one.where.sum(), 2)
     assert made.features.shape == (one.where.sum(), 5)
 
@@ -130,8 +127,8 @@ def test_dots_are_not_smoothed_into_what_is_seen() -> None:
     slopes = np.zeros((where.sum(), 2))
     seen = photographs.without(PictureOfPress(change, untouched, where, slopes, slopes), hidden)
     assert not (seen.where & hidden).any()
-    assert len(seen.slopes) == seen.where.sum() == len(seen.features)
-    assert seen.features[:, :3] * normal_net.CHANGE_PER_INPUT_UNIT == pytest.approx(0.2)
+    assert len(seen.slopes) == seen.where.sum() == len(seen.pixels.features)
+    assert seen.pixels.features[:, :3] * normal_net.CHANGE_PER_INPUT_UNIT == pytest.approx(0.2)
 
 
 def test_dots_are_found_in_uneven_light() -> None:

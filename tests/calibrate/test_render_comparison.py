@@ -87,11 +87,11 @@ def test_a_network_learns_a_plain_function(monkeypatch):
 def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
     """The decay by press: with that of 192 presses, a network of five finds them better, and others worse."""
     monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 300)
-    few, others = list(compared.dents(0.75, 5)), list(compared.dents(0.75, 16, seed=1))
+    few, others = ([dent.pixels for dent in compared.dents(0.75, *some)] for some in ((5, 0), (16, 1)))
 
     def off() -> list[float]:
         net = render_comparison.learned(few)
-        return [float(np.mean([one.off(net.normals(one.features)) for one in part])) for part in (few, others)]
+        return [float(np.mean([one.off(net) for one in part])) for part in (few, others)]
 
     held = off()
     monkeypatch.setattr(normal_net, "WEIGHT_DECAY", normal_net.WEIGHT_DECAY * 5 / render_comparison.TRAINING_DENTS)
@@ -120,7 +120,7 @@ def test_noise_in_training_makes_the_network_smooth(monkeypatch):
 @pytest.mark.slow
 def test_several_networks_that_differ_are_averaged(compared, monkeypatch):
     monkeypatch.setattr(normal_net, "ENSEMBLE_SIZE", 2)
-    dents = list(compared.dents(0.75, 20))
+    dents = [dent.pixels for dent in compared.dents(0.75, 20)]
     net, features = render_comparison.learned(dents), dents[0].features
     one, other = (normal_net.NormalNet((member,)).normals(features) for member in net.members)
     assert net.normals(features) == pytest.approx((one + other) / 2, abs=1e-6)
