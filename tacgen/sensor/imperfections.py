@@ -32,13 +32,13 @@ class Grain(Part):
 
 
 class Relief(Part):
-    """Relief of the coating's outer side. At rest it does not show; what presses on it flattens it, so that it shows
-    inside, where something touches. It is fixed to the gel; normals and height do not have it."""
+    """Relief of the coating's outer side, fixed to the gel. What touches it flattens it, so that it shows inside there;
+    normals and height do not have it."""
 
     height_mm: Annotated[float, Field(ge=0, le=0.1)]
-    """Standard deviation of the height."""
+    """Its standard deviation."""
     length_mm: Width
-    """Correlation length: the correlation of two places falls as exp(-distance / length)."""
+    """Correlation length, as that of grain."""
     seed: Seed = 0
     """Number of the random pattern."""
     source: str = NO_SOURCE

@@ -160,7 +160,7 @@ class Coating(Part):
     grain: Grain | None = None
     """Fine random pattern of the reflectance; none if absent."""
     relief: Relief | None = None
-    """Fine relief of its outer side, which shows where something touches; none if absent."""
+    """Relief of its outer side; none if absent."""
     marks: Marks | None = None
     """Dust and scratches; none if absent."""
     wear: Wear | None = None
