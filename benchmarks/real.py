@@ -171,10 +171,9 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[PressPixels], float
 
 def undotted(name: str) -> list[list[Cell]]:
     """Grain of a unit without dots."""
-    unit, sensor = photographs.unit(name), sensor_of(FILES[name])
+    unit = photographs.unit(name)
     assert unit is not None
-    faces = [solved_presses.face(sensor, press, {}) for press in unit.presses]
-    return grain.rows(name, unit, faces, Comparison(sensor))
+    return grain.rows(name, unit, sensor_of(FILES[name]))
 
 
 def left_out(presses: Sequence[PressPixels]) -> float:

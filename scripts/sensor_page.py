@@ -36,6 +36,7 @@ PLACES |= {
     "Plate": "`plate`",
     "Coating": "`coating`",
     "Grain": "`coating.grain`",
+    "Relief": "`coating.relief`",
     "Marks": "`coating.marks`",
     "Wear": "`coating.wear`",
     "Walls": "`walls`",

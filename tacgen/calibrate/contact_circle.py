@@ -46,7 +46,7 @@ class LampChanges:
     def __init__(self, sensor: LitSensor) -> None:
         self.sensor = sensor
         eye = sensor.camera.model_copy(update={"ambient": (0.0, 0.0, 0.0), "glare": None, "auto_exposure": 0.0})
-        coat = sensor.coating.model_copy(update={"grain": None, "marks": None, "wear": None})
+        coat = sensor.coating.model_copy(update={"grain": None, "relief": None, "marks": None, "wear": None})
         alone = [sensor.model_copy(update={"camera": eye, "coating": coat, "leds": (led,)}) for led in sensor.leds]
         self._renderers = [Renderer(one, CENTRE_SPP, 0, markers=False) for one in alone]
         self._flat = [one.flat() for one in self._renderers]

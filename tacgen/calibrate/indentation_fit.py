@@ -40,6 +40,9 @@ THICKNESS_FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that ar
 MISFIT_POINTS = 2000  # points between them at which the misfit is interpolated
 # standard error of the thickness's logarithm that the method has by itself, from synthetic units
 THICKNESS_METHOD_ERROR = 0.05
+# the same where rims are softer than any blur that is tried, which a thinner gel replaces: those of a golf ball on a
+# Wedge give 4.75 mm with blurs up to 0.4 of the thickness, 3.83 up to 0.6
+SOFT_RIM_THICKNESS_ERROR = 0.22
 # of the largest force: change between readings from which its error by the lag exceeds all others
 ABRUPT_FORCE_CHANGE = 0.03
 MIN_OWN_COLOUR_PICTURES = 8  # unseen pictures from which they tell their own colours
@@ -177,7 +180,11 @@ def thickness_scan(presses: GaugedPresses, *, rich: bool | None = None) -> Thick
     whole, n = parts.sum(axis=1), parts.shape[1]
     without = np.array([_lowest(thickness, whole - parts[:, k]) for k in range(n)])  # jackknife
     spread = float(np.hypot(np.sqrt((n - 1) * without.var()), THICKNESS_METHOD_ERROR))
-    return ThicknessScan(thickness, tuple(found), rich, _lowest(thickness, whole), spread, n - 1)
+    scan = ThicknessScan(thickness, tuple(found), rich, _lowest(thickness, whole), spread, n - 1)
+    pairs = zip(found, thickness.tolist(), strict=True)
+    if any(press_localisation.blur_at_bound(*pair) for pair, _ in scan.around(list(pairs))):
+        return replace(scan, spread=float(np.hypot(spread, SOFT_RIM_THICKNESS_ERROR)))
+    return scan
 
 
 def _lowest(thickness: Array, misfit: Array) -> float:

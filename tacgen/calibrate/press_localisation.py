@@ -180,6 +180,11 @@ def located_with_best_blur(
     return best
 
 
+def blur_at_bound(one: LocatedPresses, thickness: float) -> bool:
+    """Whether the blur that suits presses best in a gel of a thickness [mm] is the largest that is tried."""
+    return one.blur > (MAX_SLOPE_BLUR - SLOPE_BLUR_TOL) * thickness
+
+
 def colours_vary(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> bool:
     """Whether colours that vary over the picture suit unseen recordings better than those that hardly do.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.geometry.rasterize import blend
-from tacgen.optics import coating, strip_light
+from tacgen.optics import coat_texture, coating, strip_light
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Surface
@@ -37,6 +37,11 @@ class Samples(DrawnFace):
     def normal(self) -> "Floats":
         """Unit, into the gel, (samples, 3)."""
         return blend(self.hits, self.facing, unit=True)
+
+    def emboss(self, slopes: "Floats") -> None:
+        """Turn the normals, from now on, by slopes of the coating's relief (2, h, w) where something touches."""
+        share = blend(self.hits, self.sheet.touched(self.surface)[:, None])[:, 0]
+        self.normal = coat_texture.embossed(self.normal, share, self.rest, slopes, self.sheet.size)
 
     @cached_property
     def rest(self) -> "Floats":

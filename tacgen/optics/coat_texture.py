@@ -1,10 +1,11 @@
-"""Grain, marks and wear of the coating: a factor on its light over rest coordinates, so that it moves with the gel.
+"""Grain, marks and wear of the coating: a factor on its light over rest coordinates, so that it moves with the gel; and
+the slopes of its relief.
 
 One field is made for a sensor; each picture interpolates it. What the pattern changes in the light that coating and
 walls reflect to one another is neglected: it averages out.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from tacgen.physics.runtime import call
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor.imperfections import Grain, Marks, Wear
+    from tacgen.sensor.imperfections import Marks, Wear
     from tacgen.sensor.model import Coating
 
     Floats = NDArray[np.float64]
@@ -31,12 +32,13 @@ def texture(coating: "Coating", size: tuple[float, float], pixel: float) -> "Flo
     """
     if coating.grain is None and coating.marks is None and coating.wear is None:
         return None
-    columns, rows = (max(2, round(side / max(pixel / 2, MIN_TEXTURE_SPACING_MM))) for side in size)
+    rows, columns = _nodes(size, pixel)
     x, y = ((np.arange(n) + 0.5) / n * side - side / 2 for n, side in zip((columns, rows), size, strict=True))
     field = np.ones((rows, columns))
     if coating.grain is not None:
-        spacing = size[1] / rows, size[0] / columns
-        field += _grain(coating.grain, field.shape, spacing, pixel)
+        grain = coating.grain
+        waves = _Waves.drawn(grain.seed, grain.length_mm, size, pixel)
+        field += grain.contrast * waves.field(waves.numbers)
     if coating.marks is not None:
         _mark(field, coating.marks, x, y, size, pixel)
     if coating.wear is not None:
@@ -44,24 +46,58 @@ def texture(coating: "Coating", size: tuple[float, float], pixel: float) -> "Flo
     return np.maximum(field, 0.0)
 
 
-def _grain(grain: "Grain", shape: tuple[int, ...], spacing: tuple[float, float], pixel: float) -> "Floats":
-    """A Gaussian random field with mean 0 whose correlation falls as exp(-distance / length), averaged over a pixel.
+def relief(coating: "Coating", size: tuple[float, float], pixel: float) -> "Floats | None":
+    """Slopes (2, h, w) [-] along x and y of the coating's inner side where its relief is pressed flat, at the nodes of
+    `texture`; None without a relief."""
+    rough = coating.relief
+    if rough is None:
+        return None
+    waves = _Waves.drawn(rough.seed, rough.length_mm, size, pixel)
+    along = (2j * np.pi * rough.height_mm * f * waves.numbers for f in (waves.across, waves.down))
+    return np.stack([waves.field(each) for each in along])
 
-        S(f) = contrast^2 2 pi length^2 / (1 + (2 pi f length)^2)^(3/2)      [mm^2], f [1/mm]
 
-    White noise is multiplied by the root of S in Fourier space, where the pixel is a product of two sinc. The field is
-    periodic beyond the rectangle, over more lengths than the correlation reaches.
-    """
-    from scipy.fft import irfft2, next_fast_len, rfft2
+def _nodes(size: tuple[float, float], pixel: float) -> tuple[int, int]:
+    """Rows and columns of a field's nodes."""
+    columns, rows = (max(2, round(side / max(pixel / 2, MIN_TEXTURE_SPACING_MM))) for side in size)
+    return rows, columns
 
-    reach = 6 * grain.length_mm
-    periods = [next_fast_len(n + round(reach / by), real=True) for n, by in zip(shape, spacing, strict=True)]
-    white = np.random.default_rng(grain.seed).standard_normal(periods)
-    down, across = np.fft.fftfreq(periods[0], spacing[0])[:, None], np.fft.rfftfreq(periods[1], spacing[1])
-    squared = (2 * np.pi * grain.length_mm) ** 2 * (down**2 + across**2)
-    root = grain.contrast * grain.length_mm * np.sqrt(2 * np.pi / (spacing[0] * spacing[1])) / (1 + squared) ** 0.75
-    seen = root * np.sinc(pixel * down) * np.sinc(pixel * across)
-    return np.asarray(irfft2(rfft2(white) * seen, s=periods)[: shape[0], : shape[1]])
+
+class _Waves(NamedTuple):
+    """A Gaussian random field in Fourier space, periodic beyond the rectangle, over more lengths than the correlation
+    reaches."""
+
+    numbers: "NDArray[np.complex128]"  # (down, half of across)
+    down: "Floats"  # frequencies [1/mm], (n, 1)
+    across: "Floats"  # [1/mm], (m,)
+    periods: tuple[int, int]  # nodes down and across
+    shape: tuple[int, int]  # nodes of the rectangle
+
+    @classmethod
+    def drawn(cls, seed: int, length: float, size: tuple[float, float], pixel: float) -> "_Waves":
+        """A field with mean 0 and variance 1 whose correlation falls as exp(-distance / length), averaged over a pixel.
+
+            S(f) = 2 pi length^2 / (1 + (2 pi f length)^2)^(3/2)      [mm^2], f [1/mm]
+
+        White noise is multiplied by the root of S in Fourier space, where the pixel is a product of two sinc.
+        """
+        from scipy.fft import next_fast_len, rfft2
+
+        shape = _nodes(size, pixel)
+        spacing = [side / n for n, side in zip(shape, size[::-1], strict=True)]
+        y, x = (next_fast_len(n + round(6 * length / by), real=True) for n, by in zip(shape, spacing, strict=True))
+        white = np.random.default_rng(seed).standard_normal((y, x))
+        down, across = np.fft.fftfreq(y, spacing[0])[:, None], np.fft.rfftfreq(x, spacing[1])
+        squared = (2 * np.pi * length) ** 2 * (down**2 + across**2)
+        root = length * np.sqrt(2 * np.pi / (spacing[0] * spacing[1])) / (1 + squared) ** 0.75
+        seen = root * np.sinc(pixel * down) * np.sinc(pixel * across)
+        return cls(np.asarray(rfft2(white) * seen), down, across, (y, x), shape)
+
+    def field(self, numbers: "NDArray[np.complex128]") -> "Floats":
+        """Values (h, w) at the nodes of the rectangle, by numbers in Fourier space."""
+        from scipy.fft import irfft2
+
+        return np.asarray(irfft2(numbers, s=self.periods)[: self.shape[0], : self.shape[1]])
 
 
 def _mark(field: "Floats", marks: "Marks", x: "Floats", y: "Floats", size: tuple[float, float], pixel: float) -> None:
@@ -108,4 +144,16 @@ def sampled(field: "Floats", size: tuple[float, float], xy: "Floats") -> "Floats
         xy,
         out,
     )
+    return out
+
+
+def embossed(
+    normals: "Floats", share: "Floats", rest: "Floats", slopes: "Floats", size: tuple[float, float]
+) -> "Floats":
+    """Unit normals into the gel (n, 3) turned by slopes (2, h, w) along x and y over a rectangle of `size` (x, y) [mm],
+    of a relief at right angles to the face; share of contact (n,) and rest positions (n, 2) [mm]."""
+    there, out = np.flatnonzero(share > 0), normals.copy()
+    for k in range(2):
+        out[there, k] += share[there] * sampled(slopes[k], size, rest[there])
+    out[there] /= np.linalg.norm(out[there], axis=1, keepdims=True)
     return out

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 MAX_CONTACT_RADIUS_RATIO = 0.95  # largest contact radius over the ball's radius [-]
 DECAY_LENGTH_RATIO = 0.1  # decay length of the depression around the contact, over the gel's thickness [-]
+# of the contact radius: width in which the relief of photographed skins fades, half on either side of the circle
+TOUCHED_RIM_RATIO = 0.2
 MAX_RIM_SLOPE = 0.8  # largest slope at the contact's rim [-]
 
 
@@ -72,8 +74,15 @@ class BallDent:
     def at(self, xy: Any) -> "Floats":
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]; points move along z only."""
         xy = np.asarray(xy, dtype=np.float64)
-        r = np.hypot(xy[:, 0] - self.center[0], xy[:, 1] - self.center[1])
-        a, ball = self.contact, self.radius
+        r, a, ball = self._away(xy), self.contact, self.radius
         dip = self.rim * np.exp(-np.maximum(r - a, 0) / (DECAY_LENGTH_RATIO * self.thickness))
         cap = np.sqrt(np.maximum(ball**2 - np.minimum(r, a) ** 2, 0)) - np.sqrt(ball**2 - a * a)
         return np.asarray(self.face.at(xy) - np.column_stack([0 * xy, dip + cap]))
+
+    def touched(self, xy: Any) -> "Floats":
+        """Share of contact (n,), 0 to 1, at rest positions (n, 2) [mm]."""
+        rim = TOUCHED_RIM_RATIO * self.contact
+        return np.asarray(np.clip((self.contact - self._away(np.asarray(xy, dtype=np.float64))) / rim + 0.5, 0.0, 1.0))
+
+    def _away(self, xy: "Floats") -> "Floats":
+        return np.asarray(np.hypot(xy[:, 0] - self.center[0], xy[:, 1] - self.center[1]))

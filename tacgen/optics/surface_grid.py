@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +27,14 @@ class Surface(Protocol):
 
     def at(self, xy: Any) -> Any:
         """Current positions (n, 3) [mm]."""
+
+
+@runtime_checkable
+class TouchedSurface(Surface, Protocol):
+    """A face that tells where something touches it."""
+
+    def touched(self, xy: Any) -> Any:
+        """Share of contact (n,), 0 to 1, at rest positions (n, 2) [mm]."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +134,12 @@ class Sheet:
             now[lost, :2] += (1.0 if self.whole else OUTSIDE_SCALE) * (pad[lost] - pad[near])
         now[self._outside, :2] += self.rest[self._outside] - pad[self._outside]
         return now
+
+    def touched(self, surface: Surface) -> "Floats":
+        """Share of contact at the nodes (nodes,); 0 on a face that does not tell."""
+        if isinstance(surface, TouchedSurface):
+            return np.nan_to_num(surface.touched(self.inside))
+        return np.zeros(len(self.rest))
 
     def normals(self, now: "Floats") -> "Floats":
         """Unit normals toward the camera (nodes, 3) of node positions (nodes, 3), by central differences."""

@@ -30,6 +30,7 @@ class GelSurface:
     rest, now (s, 3) [mm]; facets (f, a) numbers among them; nodes (s,) their numbers in the mesh.
     """
 
+    _touching: Array | None = None  # share of each facet's points that touch (f,)
     # the indenter, touching points (f, q), and the mesh's edge [mm]
     _contact: tuple[Shape, Pose, Array, float] | None = None
 
@@ -60,6 +61,8 @@ class GelSurface:
         the indenter's curvature.
         """
         new, shape = self.moved(state.x), problem.contact.shape
+        if self.facets.shape[1] > 1:
+            new._touching = (state.normal_force > 0).mean(axis=1)
         if self.facets.shape[1] > 1 and shape.smallest_radius >= MIN_RADIUS_EDGES * problem.edge:
             new._contact = shape, Pose.of(state.pose), state.normal_force > 0, problem.edge
         return new
@@ -107,6 +110,15 @@ class GelSurface:
         by = np.minimum(weight[:, 0], 1.0) * (contact_rim.gaps(opening[:, 0]) - gap)
         found[near, :3] = moved + np.where(np.abs(normal[:, 2]) > MIN_TANGENT_NORMAL_Z, by, 0.0)[:, None] * normal
         return found[:, :3]
+
+    def touched(self, xy: Array) -> Array:
+        """Share of contact (n,), 0 to 1, at rest positions xy (n, 2) [mm], smooth between the nodes; nan outside."""
+        if self._touching is None or not self._touching.any():
+            return np.zeros(len(xy))
+        at, each = self.facets.ravel(), np.repeat(self._touching, self.facets.shape[1])
+        share = np.bincount(at, each) / np.bincount(at)
+        found = self._between.at(np.asarray(xy, dtype=float), self._between.nodal(share[:, None]))
+        return np.asarray(np.clip(found[:, 0], 0.0, 1.0))
 
 
 def seen(mesh: "GelMesh", clear: int) -> GelSurface:

@@ -49,6 +49,7 @@ def light(
     toward: Vectors, passed: Reals, middle: Vectors, strip: Ints, grid: Vectors, table: Singles, size: wp.vec4i,
     mirror: real, matt: Vectors2, gloss: Vectors2, alpha: real, terms: wp.array(dtype=Glow), level: Pairs,
     colours: Vectors, dots: Ints, dot_sizes: Reals, texture: Reals, texture_rows: int, texture_columns: int,
+    relief_x: Reals, relief_y: Reals, touched: Reals,
     out: SingleVectors2,
 ):  # fmt: skip
     """Linear radiance (f, samples) of faces of nodes (f n,) with normals `facing`, by the keys of the triangles behind
@@ -64,7 +65,9 @@ def light(
         colours (4,): the coating's relative change under full paint; its radiance in stray light; its whole
             reflectance; that of paint.
         dots, dot_sizes: counts of dots in rows, 0 rows: none; then their spacing, radius, rim and middle x, y [mm].
-        texture: the coating's pattern (rows columns,), 0 rows: none.
+        texture: the coating's pattern (rows columns,), none if empty.
+        relief_x, relief_y, touched: slopes of its relief (rows columns,) [-], none if empty, and the share of contact
+            at the nodes (f n,).
     """
     f, s = wp.tid()
     t = triangle_of(keys[f, s])
@@ -81,6 +84,13 @@ def light(
     p = u * get(nodes, i) + v * get(nodes, j) + w * get(nodes, k)
     normal = wp.normalize(u * get(facing, i) + v * get(facing, j) + w * get(facing, k))
     xy = u * rest[face[0]] + v * rest[face[1]] + w * rest[face[2]]
+    across, down = real(texture_columns) / wide, real(texture_rows) / tall
+    if relief_x.shape[0] > 0:
+        pressed = u * get(touched, i) + v * get(touched, j) + w * get(touched, k)
+        if pressed > real(0.0):
+            dx = pattern_at(relief_x, texture_rows, texture_columns, across, down, xy[0], xy[1])
+            dy = pattern_at(relief_y, texture_rows, texture_columns, across, down, xy[0], xy[1])
+            normal = wp.normalize(normal + pressed * wp.vec3d(dx, dy, real(0.0)))
     view = toward[s]
     ci = wp.max(wp.dot(normal, view), FACING)
     n = wp.vec3d(normal[0], normal[1], wp.min(normal[2], MOST_NORMAL))
@@ -126,6 +136,5 @@ def light(
         seen = wp.cw_mul(seen, factor)
     seen += wp.cw_mul(colours[1], factor)
     if texture.shape[0] > 0:
-        across, down = real(texture_columns) / wide, real(texture_rows) / tall
         seen *= pattern_at(texture, texture_rows, texture_columns, across, down, xy[0], xy[1])
     out[f, s] = wp.vec3(single(seen[0]), single(seen[1]), single(seen[2]))

@@ -176,6 +176,7 @@ class Renderer:
         self.glare = None if sensor.camera.glare is None else camera_response.glare(sensor.camera).astype(np.float32)
         pixel = sensor.camera.mm_per_px / effort.samples
         self.texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
+        self.relief = coat_texture.relief(sensor.coating, self.sheet.size, pixel)
         self.light: Light
         if clear(sensor, method):
             self.name = "transport"
@@ -229,6 +230,8 @@ class Renderer:
 
     def _without_glare(self, surface: Surface) -> "NDArray[np.float32]":
         at = self._view.look(surface)
+        if self.relief is not None:
+            at.emboss(self.relief)
         made = np.asarray(self.light.seen(at), dtype=np.float64)
         if self.stray is not None:
             self._view.add_even(made, at, self.stray)

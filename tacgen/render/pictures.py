@@ -143,14 +143,15 @@ class Pictures:
 
     def _together(self, faces: Mapping[int, Surface], device: str) -> dict[int, "_Drawn"]:
         """Draw frames by their faces, all at once; nothing, from now on, where the device fails."""
-        nodes = np.stack([self.renderer.sheet.at(face) for face in faces.values()])
+        sheet = self.renderer.sheet
+        nodes, touched = (np.stack([part(face) for face in faces.values()]) for part in (sheet.at, sheet.touched))
         asked = self._settings.asked
         radiance: Sequence[Array | None] = [None] * len(faces)
         developed = radiance
         try:
             name = tensor_drawing.taken(device)
             drawing = tensor_drawing.drawing(self.renderer, device)
-            light = drawing.radiance(nodes)
+            light = drawing.radiance(nodes, touched)
             if self._photo is not None or "radiance" in asked:
                 radiance = list(light.cpu().numpy())
             if self._photo is None and "rgb" in asked:

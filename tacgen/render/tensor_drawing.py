@@ -25,7 +25,7 @@ def drawing(renderer: Renderer, device: str) -> "Drawing":
 
     assert isinstance(renderer.light, Clear)
     light = renderer.light
-    return Drawing(light.direct, light.glow, renderer.stray, renderer.texture, device, renderer.glare)
+    return Drawing(light.direct, light.glow, renderer.stray, renderer.texture, device, renderer.glare, renderer.relief)
 
 
 def taken(device: str) -> str:

@@ -48,7 +48,7 @@ LINEAR_CAMERA_FIELDS = {
     "drift",
     "jpeg_quality",
 }  # of the camera: what is laid over a picture's light
-COATING_PATTERN_FIELDS = {"grain", "marks", "wear"}  # of the coating: the same
+COATING_PATTERN_FIELDS = {"grain", "relief", "marks", "wear"}  # of the coating: the same
 MAP_VERSION = 10  # of how the maps are made; part of their cache key
 SCATTERED_VERSION = 2  # of how `scattered` is made; part of its key in the cache
 MIN_DENT_CHANGE = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least

@@ -1,5 +1,5 @@
-"""Imperfections in which units of one sensor type differ: grain, marks and wear of the coating, glare, drift of the
-camera's colours. All are off unless a sensor file gives them."""
+"""Imperfections in which units of one sensor type differ: grain, relief, marks and wear of the coating, glare, drift of
+the camera's colours. All are off unless a sensor file gives them."""
 
 from typing import Annotated, Self
 
@@ -26,6 +26,19 @@ class Grain(Part):
     """Standard deviation of the reflectance over its mean."""
     length_mm: Width
     """Correlation length: the correlation of two places falls as exp(-distance / length)."""
+    seed: Seed = 0
+    """Number of the random pattern."""
+    source: str = NO_SOURCE
+
+
+class Relief(Part):
+    """Relief of the coating's outer side, fixed to the gel. What touches it flattens it, so that it shows inside there;
+    normals and height do not have it."""
+
+    height_mm: Annotated[float, Field(ge=0, le=0.1)]
+    """Its standard deviation."""
+    length_mm: Width
+    """Correlation length, as that of grain."""
     seed: Seed = 0
     """Number of the random pattern."""
     source: str = NO_SOURCE

@@ -27,7 +27,7 @@ from tacgen.sensor.base_model import (
     Vec2,
     Vec3,
 )
-from tacgen.sensor.imperfections import Drift, Glare, Grain, Marks, Wear
+from tacgen.sensor.imperfections import Drift, Glare, Grain, Marks, Relief, Wear
 from tacgen.sensor.layers import Layer
 from tacgen.sensor.markers import Markers
 
@@ -159,6 +159,8 @@ class Coating(Part):
     """GGX alpha of the conductor."""
     grain: Grain | None = None
     """Fine random pattern of the reflectance; none if absent."""
+    relief: Relief | None = None
+    """Relief of its outer side; none if absent."""
     marks: Marks | None = None
     """Dust and scratches; none if absent."""
     wear: Wear | None = None

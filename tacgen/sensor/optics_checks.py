@@ -58,7 +58,7 @@ def _layers(sensor: LitSensor) -> Iterator[Issue]:
     elif gel.dome and len(clear) > 1:
         text = "light is followed through one clear layer under a dome, not several: leave dome out"
         yield Issue(("gel", "dome"), text)
-    for key in ("grain", "marks", "wear") if scattering else ():
+    for key in ("grain", "relief", "marks", "wear") if scattering else ():
         if getattr(sensor.coating, key) is not None:
             yield Issue(("coating", key), "cannot be seen through a layer that scatters: leave it out", at_key=True)
     if scattering and sensor.camera.aspect != 1:

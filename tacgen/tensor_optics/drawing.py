@@ -31,10 +31,10 @@ class Drawing:
 
     def __init__(
         self, direct: Direct, glow: Glow, stray: "Array | None", texture: "Array | None", device: str,
-        glare: "Array | None" = None,
+        glare: "Array | None" = None, relief: "Array | None" = None,
     ) -> None:  # fmt: skip
         """stray (3,): radiance of a coating without dots in the stray light; texture (h, w): the coating's pattern;
-        glare (H, W, 3): what is added to every picture.
+        glare (H, W, 3): what is added to every picture; relief (2, h, w): slopes of the coating's.
 
         Raises:
             ValueError: more than one ray a pixel, or a sheet of a part of the pad.
@@ -64,8 +64,10 @@ class Drawing:
         colours[3] = dots.albedo if dots else 0.0
         sizes = [] if dots is None else [*dots.spacing_mm, dots.diameter_mm / 2, eye.mm_per_px, *dots.middle_mm]
         counts = None if dots is None else on(device, np.array(dots.row_counts), torch.int32)
-        pattern = (None, 0, 0) if texture is None else (double(texture.reshape(-1)), *texture.shape)
-        self._coat = double(colours), counts, double(sizes), *pattern
+        grid = (0, 0) if texture is None and relief is None else (texture if relief is None else relief[0]).shape
+        pattern = None if texture is None else double(texture.reshape(-1))
+        slopes = (None, None) if relief is None else (double(each.reshape(-1)) for each in relief)
+        self._coat = double(colours), counts, double(sizes), pattern, *grid, *slopes
         self._weights = on(device, weights(eye.blur_mm / eye.mm_per_px), SINGLE_TYPE) if eye.blur_mm else None
         self._glare = None if glare is None else on(device, glare, SINGLE_TYPE)
         self._fall, self._grain = double(camera_response.exposed(eye).reshape(-1)), double(camera_response.grain(eye))
@@ -79,9 +81,9 @@ class Drawing:
         steps = 0 if eye.noise is None else math.ceil(3 * height * width / 4)  # of a generator, for a picture's noise
         self._jumps = torch.as_tensor(noise.jumps(steps).copy(), device=device)
 
-    def radiance(self, nodes: Array) -> Tensor:
+    def radiance(self, nodes: Array, touched: Array) -> Tensor:
         """Linear radiance (F, H, W, 3), before the response, of faces by the positions (F, n, 3) [mm] of the sheet's
-        nodes."""
+        nodes and the share of contact (F, n) there."""
         at = on(self._device, nodes, DOUBLE_TYPE)
         faces, (height, width), frames = self._faces.draw(at), self._shape, len(nodes)
         out = torch.empty((frames, height * width, 3), dtype=SINGLE_TYPE, device=self._device)
@@ -89,7 +91,8 @@ class Drawing:
             pictures.light, (frames, height * width), faces.keys, self._faces.triangles, faces.screen.reshape(-1, 2),
             at.reshape(-1, 3), faces.facing.reshape(-1, 3), self._rest, width,
             *(each.reshape(-1) for each in faces.terrains), *self._sheet.shape, *map(float, self._sheet.size),
-            self._toward, self._passed, *self._light, *self._glow, *self._coat, out,
+            self._toward, self._passed, *self._light, *self._glow, *self._coat,
+            on(self._device, touched.reshape(-1), DOUBLE_TYPE), out,
         )  # fmt: skip
         seen = self._blurred(out).reshape(frames, height, width, 3)
         return seen if self._glare is None else (seen + self._glare).clamp_(min=0)

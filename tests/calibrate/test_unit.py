@@ -105,6 +105,18 @@ def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(
 
 
 @pytest.mark.slow
+def test_rims_softer_than_any_blur_that_is_tried_leave_the_thickness_unsure(
+    unit: LitSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A softer rim and a thinner gel replace each other."""
+    sharp = fitted(unit, 2.4).thickness
+    monkeypatch.setattr(press_localisation, "MAX_SLOPE_BLUR", 0.5 * press_localisation.SLOPE_BLUR_TOL)
+    soft = fitted(unit, 2.4).thickness
+    assert soft.low < 2.4 < soft.high
+    assert np.log(soft.high / soft.low) > 3 * np.log(sharp.high / sharp.low)
+
+
+@pytest.mark.slow
 def test_the_lag_of_a_gauge_is_found_and_does_not_shift_the_modulus(unit: LitSensor) -> None:
     up = np.concatenate([np.linspace(0.1, 0.9, 7), [0.9] * 3, np.linspace(0.8, 0.1, 6)])
     time, lag = np.arange(len(up)) / 30, 0.05

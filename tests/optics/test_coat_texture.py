@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 from helpers.tiny import PLAIN, sensor
+from scipy.ndimage import gaussian_filter
 
 from tacgen.optics import coat_texture
-from tacgen.optics.coat_texture import sampled, texture
+from tacgen.optics.coat_texture import relief, sampled, texture
 from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.surface_grid import Sheet
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import Coating
 
 Array = np.ndarray
 SIZE, FINE = (24.0, 20.0), 0.02  # [mm]
 GRAIN = {"contrast": 0.02, "length_mm": 0.2, "seed": 3, "source": "test"}
+RELIEF = {"height_mm": 0.01, **{key: GRAIN[key] for key in ("length_mm", "seed", "source")}}
 
 
 def made(pixel: float = FINE, **parts: object) -> Array:
@@ -117,3 +120,47 @@ def test_the_field_of_a_fine_camera_stays_small() -> None:
         20 / coat_texture.MIN_TEXTURE_SPACING_MM,
         24 / coat_texture.MIN_TEXTURE_SPACING_MM,
     )
+
+
+@pytest.mark.slow
+def test_slopes_of_a_relief_are_those_of_its_height() -> None:
+    """Grain of the same seed and length is the same field. The exponential correlation has slopes at all widths, so
+    that differences see what pixels leave."""
+    pixel = 0.2
+    slopes = relief(Coating.model_validate({**PLAIN["coating"], "relief": RELIEF}), SIZE, pixel)
+    assert slopes is not None
+    height = 0.1 * (made(pixel, grain={**GRAIN, "contrast": 0.1}) - 1)
+    across = (height[:, 2:] - height[:, :-2]) / (2 * SIZE[0] / height.shape[1])
+    down = (height[2:] - height[:-2]) / (2 * SIZE[1] / height.shape[0])
+    for found, wanted in ((slopes[0][:, 1:-1], across), (slopes[1][1:-1], down)):
+        smooth = [gaussian_filter(one, 5.0)[20:-20, 20:-20] for one in (found, wanted)]
+        assert smooth[0] == pytest.approx(smooth[1], abs=0.06 * smooth[1].std())
+
+
+def test_a_relief_turns_the_normals_of_a_dent_as_if_its_face_had_moved_along_them() -> None:
+    one = sensor()
+    dent, sheet = BallDent(4.0, 1.5, (0.6, -0.4)), Sheet.over(one.gel, 0.02, (-0.3, 1.5, -1.3, 0.5))
+    wide, tall, high, size = 2.0, 3.0, 1e-4, sheet.size
+    x, y = ((np.arange(n) + 0.5) / n * side - side / 2 for n, side in zip((2400, 2000), size, strict=True))
+    slopes = np.stack(np.broadcast_arrays(high * wide * np.cos(wide * x), -high * tall * np.sin(tall * y)[:, None]))
+    now = sheet.at(dent)
+    normals, field = sheet.normals(now), high * (np.sin(wide * sheet.rest[:, 0]) + np.cos(tall * sheet.rest[:, 1]))
+    moved = sheet.normals(now - field[:, None] * normals)
+    found = coat_texture.embossed(normals, np.ones(len(now)), sheet.rest, slopes, size)
+    inner = np.hypot(*(sheet.rest - dent.center).T) < 0.7
+    assert np.abs(moved - normals)[inner].max() > 1.5 * high
+    # heights along the face are taken over rest positions, which a dent's slope draws together
+    assert np.abs(found - moved)[inner, :2].max() < 0.1 * np.abs(moved - normals)[inner].max()
+
+
+def test_a_relief_shows_where_something_touches_alone() -> None:
+    coat = {**PLAIN["coating"], "relief": RELIEF}
+    rough, plain = (Renderer(one, 64, 0, markers=False) for one in (sensor(coating=coat), sensor()))
+    dent = BallDent(2.0, 1.0, (0.6, -0.4))
+    assert np.array_equal(rough.flat(), plain.flat())
+    made = [one.image(dent) for one in (rough, plain, rough)]
+    assert np.array_equal(made[0], made[2])
+    away = plain._view.look(dent).rest.reshape(*made[0].shape[:2], 2) - dent.center
+    change, far = np.abs(made[0] - made[1]).max(axis=2), np.hypot(*np.moveaxis(away, 2, 0)) > 1.3
+    assert change[far].max() < 1e-6
+    assert change[~far].max() > 0.01 * plain.flat().max()

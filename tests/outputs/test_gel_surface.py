@@ -224,6 +224,21 @@ def test_sliding_cells_have_all_the_friction_there_can_be(maps: list[Maps]) -> N
     assert off.max() < 1e-3 * COEFFICIENT * found.pressure.max()
 
 
+def test_a_face_tells_where_it_is_touched(pressed: Run) -> None:
+    """By the ball, within its contact and not far from it; at rest nowhere."""
+    state, middle = pressed.states[PRESSED], np.array(PATH[PRESSED][:2])
+    face = pressed.face.pressed(pressed.problem, state)
+    radius = np.sqrt(pressed.problem.contact.faces.areas[state.normal_force > 0].sum() / np.pi)
+    angles = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    around = np.stack([np.cos(angles), np.sin(angles)], -1)
+    shares = [face.touched(middle + share * radius * around).mean() for share in (0.5, 0.8, 1.0, 1.2, 1.5)]
+    assert shares[0] == pytest.approx(1, abs=0.02)
+    assert shares[-1] == pytest.approx(0, abs=0.02)
+    assert (np.diff(shares) <= 1e-9).all()
+    assert 0.2 < shares[2] < 0.8
+    assert not pressed.face.touched(middle + 0.5 * radius * around).any()
+
+
 BALL, CONTACT, EDGE = 4.0, 1.8, 0.6
 
 

@@ -51,6 +51,19 @@ class Light:
         return SimpleNamespace(numpy=lambda: self.made)
 
 
+class Touched:
+    """A face that knows its share of contact at the nodes alone."""
+
+    def __init__(self, share: np.ndarray) -> None:
+        self.share = share
+
+    def at(self, xy: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+    def touched(self, xy: np.ndarray) -> np.ndarray:
+        return self.share
+
+
 @pytest.fixture
 def log(monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
     log = Log()
@@ -58,19 +71,24 @@ def log(monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
     class Drawing:
         """The CPU's light for the nodes of faces."""
 
-        def __init__(self, direct: Any, glow: Any, stray: Any, texture: Any, device: str, glare: Any) -> None:
+        def __init__(
+            self, direct: Any, glow: Any, stray: Any, texture: Any, device: str, glare: Any, relief: Any
+        ) -> None:
             self.direct, self.glow, self.stray, self.texture, self.glare = direct, glow, stray, texture, glare
+            self.relief = relief
             log.append(f"drawing at {device}")
 
-        def radiance(self, nodes: np.ndarray) -> Light:
+        def radiance(self, nodes: np.ndarray, touched: np.ndarray) -> Light:
             log.append(f"radiance of {len(nodes)}")
             log.room -= 1
             if log.room < 0:
                 raise RuntimeError("CUDA out of memory\nTried to allocate")
             made = []
-            for each in nodes:
-                at = self.direct.view.look(None)
+            for each, share in zip(nodes, touched, strict=True):
+                at = self.direct.view.look(Touched(share))
                 at.nodes = each
+                if self.relief is not None:
+                    at.emboss(self.relief)
                 seen = np.asarray(self.direct.seen(at, self.glow), np.float64)
                 self.direct.view.add_even(seen, at, self.stray)
                 if self.texture is not None:

@@ -1,5 +1,6 @@
 """Pictures drawn by the batch are the single ones; without a GPU on a core."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from helpers.tiny import PLAIN, sensor
 from tacgen.optics.adaptive_sampling import SamplingTolerance
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.shadows import Terrain
+from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Clear, Renderer
 from tacgen.tensor_optics.drawing import Drawing
 from tacgen.tensor_optics.faces import terrains
@@ -22,7 +24,8 @@ EVERYWHERE = SamplingTolerance(1, 0.0, 0.0)  # no sample is interpolated
 CAMERA = {**PLAIN["camera"], "width_px": 13, "height_px": 9, "mm_per_px": 3.3 * PLAIN["camera"]["mm_per_px"]}
 MATT = {"specular": 0.0}
 NOISE = {"shot": [1e-4] * 3, "read": [5e-3, 3e-3, 6e-3]}
-STAINED = {"grain": {"contrast": 0.05, "length_mm": 0.3}, "wear": {"loss": 0.3, "radius_mm": 1.0, "center_mm": [1, 0]}}
+STAINED = {"grain": {"contrast": 0.05, "length_mm": 0.3}, "wear": {"loss": 0.3, "radius_mm": 1.0, "center_mm": [1, 0]},
+           "relief": {"height_mm": 0.02, "length_mm": 0.3}}  # fmt: skip
 SENSORS: dict[str, dict[str, Any]] = {
     "matt": {"markers": None, "coating": MATT},
     "matt with dots beside the middle, stray light": {
@@ -50,14 +53,20 @@ def made(**changes: Any) -> tuple[Renderer, Drawing]:
     assert isinstance(renderer.light, Clear)
     renderer.light.direct.tolerance = EVERYWHERE
     parts = renderer.light.direct, renderer.light.glow, renderer.stray, renderer.texture
-    return renderer, Drawing(*parts, DEVICE, renderer.glare)
+    return renderer, Drawing(*parts, DEVICE, renderer.glare, renderer.relief)
+
+
+def on_nodes(renderer: Renderer, faces: Sequence[Surface]) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and shares of contact of faces at the nodes of the sheet."""
+    sheet = renderer.sheet
+    return np.stack([sheet.at(face) for face in faces]), np.stack([sheet.touched(face) for face in faces])
 
 
 @pytest.mark.parametrize("changes", SENSORS.values(), ids=SENSORS)
 def test_pictures_are_the_cpus(changes: dict[str, Any]) -> None:
     renderer, drawing = made(**changes)
     faces = [BallDent(2.0, 1.2, (0.4, -0.3)), renderer.untouched]
-    seen = drawing.radiance(np.stack([renderer.sheet.at(face) for face in faces]))
+    seen = drawing.radiance(*on_nodes(renderer, faces))
     wanted = np.stack([renderer.image(face) for face in faces])
     assert np.abs(wanted[0] - wanted[1]).max() > 0.1 * wanted.max()  # the dent is seen
     assert np.abs(seen.cpu().numpy() - wanted).max() < 1e-6 * wanted.max()
@@ -73,9 +82,9 @@ def test_pictures_are_the_cpus(changes: dict[str, Any]) -> None:
 
 def test_a_picture_does_not_depend_on_those_beside_it() -> None:
     renderer, drawing = made()
-    nodes = np.stack([renderer.sheet.at(BallDent(2.0, size)) for size in (0.8, 1.2)])
-    alone = [drawing.radiance(nodes[k : k + 1]) for k in range(2)]
-    assert torch.equal(drawing.radiance(nodes), torch.cat(alone))
+    nodes, touched = on_nodes(renderer, [BallDent(2.0, size) for size in (0.8, 1.2)])
+    alone = [drawing.radiance(nodes[k : k + 1], touched[k : k + 1]) for k in range(2)]
+    assert torch.equal(drawing.radiance(nodes, touched), torch.cat(alone))
 
 
 def test_a_fold_hides_what_is_behind_it() -> None:
