@@ -250,7 +250,7 @@ def test_validate_tells_recipes_and_sensors_apart(tmp_path: Path):
     assert "trajectory (a list), outputs" in refused("validate", bad)
 
 
-def test_compiling_is_said_once(batch: Callable[[Batch], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_compilation_is_said_once(batch: Callable[[Batch], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     load = plan.load
 
     def compiling(*args: Any) -> plan.Plan:
