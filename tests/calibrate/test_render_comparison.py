@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import reality
 from helpers.tiny import sensor
 
 from tacgen.calibrate import normal_net, render_comparison
@@ -84,10 +85,11 @@ def test_a_network_learns_a_plain_function(monkeypatch):
 
 
 @pytest.mark.slow
-def test_few_presses_are_not_learnt_by_heart(compared, monkeypatch):
+def test_few_presses_are_not_learnt_by_heart(monkeypatch):
     """The decay by press: with that of 192 presses, a network of five finds them better, and others worse."""
     monkeypatch.setattr(normal_net, "MAX_LBFGS_STEPS", 300)
-    few, others = ([dent.pixels for dent in compared.dents(0.75, *some)] for some in ((5, 0), (16, 1)))
+    mini = render_comparison.Comparison(reality.sensor("gelsight_mini"))
+    few, others = ([dent.pixels for dent in mini.dents(0.75, *some)] for some in ((5, 2), (16, 1)))
 
     def off() -> list[float]:
         net = render_comparison.learned(few)
