@@ -372,7 +372,7 @@ def pictured(sensor: str, quality: str, device: str, count: int = 10) -> str:
     renderer = Renderer(row.sensor, row.recipe.resolved().spp, 0, row.sensor.markers is not None)  # type: ignore[arg-type]
     if not (isinstance(renderer.light, Clear) and tensor_drawing.drawable(renderer)):
         return "not drawn on a GPU"
-    random, direct = np.random.default_rng(0), renderer.light.direct
+    random, direct, none = np.random.default_rng(0), renderer.light.direct, [None] * count
     dents = random.uniform([2.5, 0.2, -3, -3], [5.0, 0.6, 3, 3], (count, 4))
     faces = [BallDent(radius, share * radius, (x, y), renderer.untouched) for radius, share, x, y in dents]
     renderer.image(faces[0])  # compiles it
@@ -383,12 +383,12 @@ def pictured(sensor: str, quality: str, device: str, count: int = 10) -> str:
     exact = np.array([renderer.image(face) for face in faces])
     direct.tolerance = tolerance
     drawing = tensor_drawing.drawing(renderer, device)
-    nodes, none = np.stack([renderer.sheet.at(face) for face in faces]), [None] * count
-    light = drawing.radiance(nodes)
+    nodes = [np.stack([part(face) for face in faces]) for part in (renderer.sheet.at, renderer.sheet.touched)]
+    light = drawing.radiance(*nodes)
     counts = drawing.developed(light, none, none).astype(int)
     started = time.perf_counter()
     for _ in range(DRAWN):
-        drawing.developed(drawing.radiance(nodes), none, none)
+        drawing.developed(drawing.radiance(*nodes), none, none)
     gpu = (time.perf_counter() - started) / (DRAWN * count)
     right, usual = (np.array([renderer.develop(one) for one in lights]).astype(int) for lights in (exact, shipped))
     off = [f"{np.abs(each - right).mean():.5f} and {np.abs(each - right).max()}" for each in (usual, counts)]

@@ -68,7 +68,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = _pictures(clear, level, say)
     whole = level != "smoke"
     if whole and all(map(photographs.there, MINIS)):
-        tables += [population(say), grain.table(undotted(MINIS[0]) + undotted(MINIS[1]))]
+        tables += [population(say), grain.table({name: sensor_of(FILES[name]) for name in MINIS[:2]})]
     if "ninedtact" in units and whole:
         tables.append(_depth(units["ninedtact"], say))
     if whole and (photographs.reference() / WEDGE / FORCES).is_file():
@@ -167,13 +167,6 @@ def photographed(name: str, sensor: LitSensor) -> tuple[list[PressPixels], float
     presses = [photographs.without(*pair) for pair in zip(seen, unit.hidden, strict=True)]
     flat = float(np.mean([one.steep for one in presses]))
     return [one.pixels for one in presses], flat, compared.deepest(unit.presses)
-
-
-def undotted(name: str) -> list[list[Cell]]:
-    """Grain of a unit without dots."""
-    unit = photographs.unit(name)
-    assert unit is not None
-    return grain.rows(name, unit, sensor_of(FILES[name]))
 
 
 def left_out(presses: Sequence[PressPixels]) -> float:

@@ -87,7 +87,8 @@ class _Waves(NamedTuple):
         spacing = [side / n for n, side in zip(shape, size[::-1], strict=True)]
         y, x = (next_fast_len(n + round(6 * length / by), real=True) for n, by in zip(shape, spacing, strict=True))
         white = np.random.default_rng(seed).standard_normal((y, x))
-        down, across = np.fft.fftfreq(y, spacing[0])[:, None], np.fft.rfftfreq(x, spacing[1])
+        down = np.fft.fftfreq(y, spacing[0])[:, None].astype(np.float64)
+        across = np.fft.rfftfreq(x, spacing[1]).astype(np.float64)
         squared = (2 * np.pi * length) ** 2 * (down**2 + across**2)
         root = length * np.sqrt(2 * np.pi / (spacing[0] * spacing[1])) / (1 + squared) ** 0.75
         seen = root * np.sinc(pixel * down) * np.sinc(pixel * across)

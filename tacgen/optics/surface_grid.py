@@ -138,7 +138,7 @@ class Sheet:
     def touched(self, surface: Surface) -> "Floats":
         """Share of contact at the nodes (nodes,); 0 on a face that does not tell."""
         if isinstance(surface, TouchedSurface):
-            return np.nan_to_num(surface.touched(self.inside))
+            return np.asarray(np.nan_to_num(surface.touched(self.inside)))
         return np.zeros(len(self.rest))
 
     def normals(self, now: "Floats") -> "Floats":

@@ -64,7 +64,9 @@ class Drawing:
         colours[3] = dots.albedo if dots else 0.0
         sizes = [] if dots is None else [*dots.spacing_mm, dots.diameter_mm / 2, eye.mm_per_px, *dots.middle_mm]
         counts = None if dots is None else on(device, np.array(dots.row_counts), torch.int32)
-        grid = (0, 0) if texture is None and relief is None else (texture if relief is None else relief[0]).shape
+        fields = [] if texture is None else [texture]
+        fields += [] if relief is None else list(relief)
+        grid = fields[0].shape if fields else (0, 0)
         pattern = None if texture is None else double(texture.reshape(-1))
         slopes = (None, None) if relief is None else (double(each.reshape(-1)) for each in relief)
         self._coat = double(colours), counts, double(sizes), pattern, *grid, *slopes
