@@ -30,10 +30,10 @@ Array = np.ndarray
 ABOUT = (
     "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
     " between the ball's normals and those of the surface that a network trained on rendered dents finds, without the"
-    " drift of the untouched picture that photographs show far from contacts; beside it, on the pictures as they are,"
-    " on the same presses rendered with noise (what a perfect sensor file would reach), of networks trained on the"
-    " unit's other presses, and of the flat face."
-    " Contrast: change of colour per slope of the ball, rendered over real. LEDs were fitted to some of these presses."
+    " drift of the untouched picture that photographs show far from contacts; beside it on the pictures as they are,"
+    " on the same presses rendered with noise (a perfect sensor file), by networks trained on the unit's other presses,"
+    " and of the flat face. Contrast: change of colour per slope, rendered over real. LEDs were fitted to some of these"
+    " presses."
 )
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
          "correlation red: .2f", "of green: .2f", "of blue: .2f")  # fmt: skip
