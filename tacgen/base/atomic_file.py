@@ -29,6 +29,11 @@ def is_part(path: Path) -> bool:
     return bool(name and mark and number.isdigit())
 
 
+def is_claim(path: Path) -> bool:
+    """Whether this is the name of a claim file."""
+    return path.name.startswith(".") and path.name.endswith(CLAIM_SUFFIX)
+
+
 def claim_path(target: Path) -> Path:
     """The file that is locked by the process that makes `target`."""
     return target.with_name(f".{target.name}{CLAIM_SUFFIX}")
@@ -41,7 +46,7 @@ def sweep(folder: Path) -> list[Path]:
     also works in containers, and in a folder that several machines write into.
     """
     deleted = []
-    for path in [path for path in folder.iterdir() if is_part(path) or path.name.endswith(CLAIM_SUFFIX)]:
+    for path in [path for path in folder.iterdir() if is_part(path) or is_claim(path)]:
         with suppress(OSError):  # locked, deleted by another process, or no locks on this file system: leave it
             handle = os.open(path, os.O_RDWR)
             try:

@@ -213,6 +213,16 @@ def test_a_killed_writer_leaves_nothing_that_looks_whole(tmp_path: Path) -> None
     assert (folders[-1] / "x.h5").read_bytes() == whole, "killed when only the folder was left to sync"
 
 
+def test_files_of_users_whose_names_resemble_remains_are_not_swept(tmp_path: Path) -> None:
+    mine, remains = ({tmp_path / name for name in names} for names in (
+        ("notes.tacgen-claim", "x.tacgen-part-a", "tacgen-part-1"), (".x.h5.tacgen-claim", "x.h5.tacgen-part-1")
+    ))  # fmt: skip
+    for path in mine | remains:
+        path.touch()
+    assert set(atomic_file.sweep(tmp_path)) == remains
+    assert set(tmp_path.iterdir()) == mine
+
+
 def test_a_living_writer_is_not_swept_and_not_joined(tmp_path: Path) -> None:
     with Writer(tmp_path / "x.h5", attributes(), 1) as first:
         write(tmp_path / "y.h5")
