@@ -46,7 +46,8 @@ def rows(name: str, sensor: LitSensor) -> list[list[Cell]]:
     flat = np.mean([compared.picture(untouched, random) for _ in range(UNTOUCHED_FRAMES)], axis=0)
     real = [press.picture - unit.untouched.astype(float) for press in unit.presses]
     made = [compared.picture(solved(sensor, press), random) - flat for press in unit.presses]
-    inside, rest = ([near(press, reach) ^ out for press in unit.presses] for reach, out in ((DENT, False), (FAR, True)))
+    inside = [near(press, DENT) for press in unit.presses]
+    rest = [~near(press, FAR) for press in unit.presses]
     for band in BANDS_PX:
         there, ours = (total(part, inside, band) - total(part, rest, band) for part in (real, made))
         scale = [np.sqrt(np.maximum(np.diag(each), 1e-9)) for each in (there, ours)]

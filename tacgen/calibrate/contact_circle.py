@@ -21,6 +21,7 @@ from tacgen.calibrate import solved_presses
 from tacgen.calibrate.photos import PhotographedPress
 from tacgen.optics import camera_response
 from tacgen.render.images import Renderer
+from tacgen.sensor.imperfections import COATING_PATTERN_FIELDS
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
@@ -46,7 +47,7 @@ class LampChanges:
     def __init__(self, sensor: LitSensor) -> None:
         self.sensor = sensor
         eye = sensor.camera.model_copy(update={"ambient": (0.0, 0.0, 0.0), "glare": None, "auto_exposure": 0.0})
-        coat = sensor.coating.model_copy(update={"grain": None, "relief": None, "marks": None, "wear": None})
+        coat = sensor.coating.model_copy(update=dict.fromkeys(COATING_PATTERN_FIELDS))
         alone = [sensor.model_copy(update={"camera": eye, "coating": coat, "leds": (led,)}) for led in sensor.leds]
         self._renderers = [Renderer(one, CENTRE_SPP, 0, markers=False) for one in alone]
         self._flat = [one.flat() for one in self._renderers]

@@ -136,15 +136,7 @@ def sampled(field: "Floats", size: tuple[float, float], xy: "Floats") -> "Floats
     """The field (h, w) over a rectangle of `size` (x, y) [mm], interpolated linearly at rest positions xy (n, 2) [mm];
     constant beyond its nodes, and 1 where the position is nan."""
     out = np.empty(len(xy))
-    call(
-        coat.pattern,
-        (len(xy),),
-        field.reshape(-1),
-        *field.shape,
-        *(n / side for n, side in zip(field.shape[::-1], size, strict=True)),
-        xy,
-        out,
-    )
+    call(coat.pattern, (len(xy),), field.reshape(-1), *_grid(field.shape, size), xy, out)
     return out
 
 
@@ -153,8 +145,11 @@ def embossed(
 ) -> "Floats":
     """Unit normals into the gel (n, 3) turned by slopes (2, h, w) along x and y over a rectangle of `size` (x, y) [mm],
     of a relief at right angles to the face; share of contact (n,) and rest positions (n, 2) [mm]."""
-    there, out = np.flatnonzero(share > 0), normals.copy()
-    for k in range(2):
-        out[there, k] += share[there] * sampled(slopes[k], size, rest[there])
-    out[there] /= np.linalg.norm(out[there], axis=1, keepdims=True)
+    out, along = np.empty_like(normals), slopes.reshape(2, -1)
+    call(coat.emboss, (len(normals),), normals, share, rest, *along, *_grid(slopes.shape[1:], size), out)
     return out
+
+
+def _grid(shape: tuple[int, ...], size: tuple[float, float]) -> tuple[float, ...]:
+    """Rows and columns of a field over a rectangle, and its nodes a mm along x and y, as kernels take them."""
+    return *shape, *(n / side for n, side in zip(shape[::-1], size, strict=True))

@@ -62,9 +62,10 @@ class GelSurface:
         """
         new, shape = self.moved(state.x), problem.contact.shape
         if self.facets.shape[1] > 1:
-            new._touching = (state.normal_force > 0).mean(axis=1)
-        if self.facets.shape[1] > 1 and shape.smallest_radius >= MIN_RADIUS_EDGES * problem.edge:
-            new._contact = shape, Pose.of(state.pose), state.normal_force > 0, problem.edge
+            touching = state.normal_force > 0
+            new._touching = touching.mean(axis=1)
+            if shape.smallest_radius >= MIN_RADIUS_EDGES * problem.edge:
+                new._contact = shape, Pose.of(state.pose), touching, problem.edge
         return new
 
     @cached_property

@@ -45,6 +45,18 @@ def pattern_at(field: Reals, rows: int, columns: int, across: real, down: real, 
 
 
 @wp.func
+def embossed(
+    normal: wp.vec3d, share: real, slopes_x: Reals, slopes_y: Reals, rows: int, columns: int, across: real, down: real,
+    x: real, y: real,
+) -> wp.vec3d:  # fmt: skip
+    """A unit normal turned by slopes of a relief at right angles to the face, patterns as in `pattern_at`, of which a
+    share shows."""
+    dx = pattern_at(slopes_x, rows, columns, across, down, x, y)
+    dy = pattern_at(slopes_y, rows, columns, across, down, x, y)
+    return wp.normalize(normal + share * wp.vec3d(dx, dy, real(0.0)))
+
+
+@wp.func
 def glow_at(terms: Glow, untouched: wp.vec2d, normal: wp.vec3d) -> wp.vec3d:
     """Interreflected radiance (3,) by the polynomial of a sample, where the normal was `untouched`."""
     dx = wp.clamp(normal[0] - untouched[0], -MOST_TURN, MOST_TURN)
@@ -92,6 +104,19 @@ def pattern(field: Reals, rows: int, columns: int, across: real, down: real, xy:
         put(out, k, real(1.0))
     else:
         put(out, k, pattern_at(field, rows, columns, across, down, x, y))
+
+
+@wp.kernel(enable_backward=False, module="tacgen.optics")
+def emboss(
+    normals: Vectors, share: Reals, xy: Pairs, slopes_x: Reals, slopes_y: Reals, rows: int, columns: int, across: real,
+    down: real, out: Vectors,
+):  # fmt: skip
+    """Normals (n,) at rest positions (n,), turned where the share of contact (n,) is positive, see `embossed`."""
+    k = wp.tid()
+    normal, here, pressed = get(normals, k), get(xy, k), get(share, k)
+    if pressed > real(0.0):
+        normal = embossed(normal, pressed, slopes_x, slopes_y, rows, columns, across, down, here[0], here[1])
+    put(out, k, normal)
 
 
 @wp.kernel(enable_backward=False, module="tacgen.optics")

@@ -6,7 +6,7 @@ A thread does a sample: what a core does in rows for some samples, by the same f
 import warp as wp
 
 from tacgen.physics.bundles import MOST_NORMAL, between, bundle_at, cell_of, column_seen, single, wanted
-from tacgen.physics.coat import Glow, dimming, glow_at, paint_share, pattern_at
+from tacgen.physics.coat import Glow, dimming, embossed, glow_at, paint_share, pattern_at
 from tacgen.physics.flat import get
 from tacgen.physics.raster import sides, triangle_of, weights
 from tacgen.physics.shadows import horizon, terrain
@@ -66,8 +66,8 @@ def light(
             reflectance; that of paint.
         dots, dot_sizes: counts of dots in rows, 0 rows: none; then their spacing, radius, rim and middle x, y [mm].
         texture: the coating's pattern (rows columns,), none if empty.
-        relief_x, relief_y, touched: slopes of its relief (rows columns,) [-], none if empty, and the share of contact
-            at the nodes (f n,).
+        relief_x, relief_y, touched: slopes of its relief (rows columns,) [-], and the share of contact at the nodes
+            (f n,); none if either is empty.
     """
     f, s = wp.tid()
     t = triangle_of(keys[f, s])
@@ -85,12 +85,12 @@ def light(
     normal = wp.normalize(u * get(facing, i) + v * get(facing, j) + w * get(facing, k))
     xy = u * rest[face[0]] + v * rest[face[1]] + w * rest[face[2]]
     across, down = real(texture_columns) / wide, real(texture_rows) / tall
-    if relief_x.shape[0] > 0:
+    if relief_x.shape[0] > 0 and touched.shape[0] > 0:
         pressed = u * get(touched, i) + v * get(touched, j) + w * get(touched, k)
         if pressed > real(0.0):
-            dx = pattern_at(relief_x, texture_rows, texture_columns, across, down, xy[0], xy[1])
-            dy = pattern_at(relief_y, texture_rows, texture_columns, across, down, xy[0], xy[1])
-            normal = wp.normalize(normal + pressed * wp.vec3d(dx, dy, real(0.0)))
+            normal = embossed(
+                normal, pressed, relief_x, relief_y, texture_rows, texture_columns, across, down, xy[0], xy[1]
+            )
     view = toward[s]
     ci = wp.max(wp.dot(normal, view), FACING)
     n = wp.vec3d(normal[0], normal[1], wp.min(normal[2], MOST_NORMAL))

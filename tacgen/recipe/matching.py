@@ -18,8 +18,7 @@ USUAL_FILTER_ROWS = 3  # rows whose median is a row's force: spikes of one row g
 
 def asked(rows: Sequence[TimedPose], move: Replay) -> "Array":
     """Normal forces (n,) [N] that all rows of a table ask for, pressing on the gel, at least 0; in a grasp those of the
-    grip. Each is the median over the rows next to it, the last one repeated at an end; nan where the table
-    has none."""
+    grip. Each is the median over the rows next to it, the last one repeated at an end; nan where the table has none."""
     import numpy as np
 
     if move.match == "grip":

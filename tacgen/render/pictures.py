@@ -143,8 +143,10 @@ class Pictures:
 
     def _together(self, faces: Mapping[int, Surface], device: str) -> dict[int, "_Drawn"]:
         """Draw frames by their faces, all at once; nothing, from now on, where the device fails."""
-        sheet = self.renderer.sheet
-        nodes, touched = (np.stack([part(face) for face in faces.values()]) for part in (sheet.at, sheet.touched))
+        sheet, touched = self.renderer.sheet, None
+        nodes = np.stack([sheet.at(face) for face in faces.values()])
+        if self.renderer.relief is not None:
+            touched = np.stack([sheet.touched(face) for face in faces.values()])
         asked = self._settings.asked
         radiance: Sequence[Array | None] = [None] * len(faces)
         developed = radiance

@@ -20,6 +20,7 @@ from tacgen.render.mitsuba_path import (
     PathTracer,
     Window,
 )
+from tacgen.sensor.imperfections import COATING_PATTERN_FIELDS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,7 +49,6 @@ LINEAR_CAMERA_FIELDS = {
     "drift",
     "jpeg_quality",
 }  # of the camera: what is laid over a picture's light
-COATING_PATTERN_FIELDS = {"grain", "relief", "marks", "wear"}  # of the coating: the same
 MAP_VERSION = 10  # of how the maps are made; part of their cache key
 SCATTERED_VERSION = 2  # of how `scattered` is made; part of its key in the cache
 MIN_DENT_CHANGE = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
@@ -185,7 +185,7 @@ def key(sensor: "LitSensor", variant: str | None, *more: object) -> str:
     linear: Any = {
         "leds": {"__all__": {"radiance", "power"}},
         "camera": LINEAR_CAMERA_FIELDS,
-        "coating": COATING_PATTERN_FIELDS,
+        "coating": set(COATING_PATTERN_FIELDS),
     }
     seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
     from tacgen.sensor.layers import LayerBase

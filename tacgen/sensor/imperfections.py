@@ -16,6 +16,7 @@ MIN_GLARE_CELLS, MAX_GLARE_CELLS = 2, 64  # along a side of the picture
 _side = Field(min_length=MIN_GLARE_CELLS, max_length=MAX_GLARE_CELLS)
 Cells = Annotated[tuple[Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], _side], ...], _side]
 Width = Annotated[float, Field(ge=0.005, le=5)]
+COATING_PATTERN_FIELDS = "grain", "relief", "marks", "wear"  # of the coating: what differs from place to place
 
 
 class Grain(Part):

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from tacgen.sensor.base_model import Vec3
+from tacgen.sensor.imperfections import COATING_PATTERN_FIELDS
 from tacgen.sensor.model import Led, LitSensor
 from tacgen.sensor.validation_messages import Issue
 
@@ -58,7 +59,7 @@ def _layers(sensor: LitSensor) -> Iterator[Issue]:
     elif gel.dome and len(clear) > 1:
         text = "light is followed through one clear layer under a dome, not several: leave dome out"
         yield Issue(("gel", "dome"), text)
-    for key in ("grain", "relief", "marks", "wear") if scattering else ():
+    for key in COATING_PATTERN_FIELDS if scattering else ():
         if getattr(sensor.coating, key) is not None:
             yield Issue(("coating", key), "cannot be seen through a layer that scatters: leave it out", at_key=True)
     if scattering and sensor.camera.aspect != 1:

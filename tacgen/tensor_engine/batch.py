@@ -357,20 +357,9 @@ class Batch:
         """Contact of facets of scenes s at the pose of the load step."""
         t, each = self.t, (self.shapes.table, self.t.rotation, self.t.position, self.dhat)
         table, rotation, position, dhat, kappa, friction, eps = gathered(s, *each, t.kappa, self.friction, self.eps)
+        shapes = replace(self.shapes, table=table)
         return Contacts(
-            replace(self.shapes, table=table),
-            conn,
-            self.N,
-            areas,
-            rotation,
-            position,
-            dhat,
-            kappa,
-            offset,
-            friction,
-            eps,
-            anchor,
-            ends,
+            shapes, conn, self.N, areas, rotation, position, dhat, kappa, offset, friction, eps, anchor, ends
         )
 
     def at_condensed(self, s: Tensor, x: Tensor, nodes: int) -> Tensor:

@@ -83,18 +83,18 @@ class Drawing:
         steps = 0 if eye.noise is None else math.ceil(3 * height * width / 4)  # of a generator, for a picture's noise
         self._jumps = torch.as_tensor(noise.jumps(steps).copy(), device=device)
 
-    def radiance(self, nodes: Array, touched: Array) -> Tensor:
+    def radiance(self, nodes: Array, touched: "Array | None" = None) -> Tensor:
         """Linear radiance (F, H, W, 3), before the response, of faces by the positions (F, n, 3) [mm] of the sheet's
-        nodes and the share of contact (F, n) there."""
+        nodes and the share of contact (F, n) there, without which no relief shows."""
         at = on(self._device, nodes, DOUBLE_TYPE)
         faces, (height, width), frames = self._faces.draw(at), self._shape, len(nodes)
         out = torch.empty((frames, height * width, 3), dtype=SINGLE_TYPE, device=self._device)
+        share = None if touched is None else on(self._device, touched.reshape(-1), DOUBLE_TYPE)
         launch(
             pictures.light, (frames, height * width), faces.keys, self._faces.triangles, faces.screen.reshape(-1, 2),
             at.reshape(-1, 3), faces.facing.reshape(-1, 3), self._rest, width,
             *(each.reshape(-1) for each in faces.terrains), *self._sheet.shape, *map(float, self._sheet.size),
-            self._toward, self._passed, *self._light, *self._glow, *self._coat,
-            on(self._device, touched.reshape(-1), DOUBLE_TYPE), out,
+            self._toward, self._passed, *self._light, *self._glow, *self._coat, share, out,
         )  # fmt: skip
         seen = self._blurred(out).reshape(frames, height, width, 3)
         return seen if self._glare is None else (seen + self._glare).clamp_(min=0)
